@@ -242,4 +242,4 @@ def test_a_failover_is_seen_in_metrics_alerts_and_dashboards(
         for pod in where.list("pods", pods):
             if (address := pod["status"].get("podIP")) and not pod["metadata"].get("deletionTimestamp"):
                 with urllib.request.urlopen(f"http://{address}:9108/metrics", timeout=10) as answer:
-                    promtool(programs, "check", "metrics", given=answer.read().decode())
+                    promtool(programs, "check", "metrics", stdin=answer.read().decode())

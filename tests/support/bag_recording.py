@@ -40,16 +40,18 @@ def message(type_: str, fields: Mapping[str, Any]) -> Any:
     return cls(**{name: _value(description, fields.get(name)) for name, description in descriptions})
 
 
-def _value(description: Any, given: Any) -> Any:
+def _value(description: Any, values_given: Any) -> Any:
     import numpy
 
     kind, of = description
     if kind == Nodetype.NAME:
-        return message(of, given or {})
+        return message(of, values_given or {})
     if kind == Nodetype.BASE:
-        return given if given is not None else "" if of[0] == "string" else False if of[0] == "bool" else 0
+        return (
+            values_given if values_given is not None else "" if of[0] == "string" else False if of[0] == "bool" else 0
+        )
     item, length = of
-    values = given if given is not None else [None] * (length if kind == Nodetype.ARRAY else 0)
+    values = values_given if values_given is not None else [None] * (length if kind == Nodetype.ARRAY else 0)
     if item[0] == Nodetype.NAME or item[1][0] == "string":
         return [_value(item, value) for value in values]
     return numpy.array([value or 0 for value in values], dtype=item[1][0])
@@ -65,14 +67,16 @@ def unix(at: float) -> float:
     return ns(at) * 1e-9
 
 
-def write(path: Path, said: Iterable[Said], storage: Storage = "mcap", also: Mapping[str, str] | None = None) -> Path:
+def write(
+    path: Path, messages: Iterable[Said], storage: Storage = "mcap", also: Mapping[str, str] | None = None
+) -> Path:
     """Write a bag folder; ``also`` lists topics with their types without any messages."""
     plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
-    said = sorted(said, key=lambda one: one.at)
+    messages = sorted(messages, key=lambda one: one.at)
     with Writer(path, version=9, storage_plugin=plugin) as writer:
-        types = {one.topic: one.type for one in said} | dict(also or {})
+        types = {one.topic: one.type for one in messages} | dict(also or {})
         connections = {topic: writer.add_connection(topic, type_, typestore=STORE) for topic, type_ in types.items()}
-        for one in said:
+        for one in messages:
             data = STORE.serialize_cdr(message(one.type, one.fields), one.type)
             writer.write(connections[one.topic], ns(one.at), data)
     return path

@@ -117,9 +117,9 @@ class FakeKubectl:
         in them stands for its value.
         """
         fresh = self.folder / "fresh.json"
-        told = {"items": list(items), "error": error, "watch": watch, "forbidden": list(forbidden)}
-        told |= {"then": list(then), "asked": ""}
-        fresh.write_text(json.dumps(told))
+        answers = {"items": list(items), "error": error, "watch": watch, "forbidden": list(forbidden)}
+        answers |= {"then": list(then), "asked": ""}
+        fresh.write_text(json.dumps(answers))
         fresh.replace(self._told)
 
     def item(self, name: str) -> dict[str, Any]:

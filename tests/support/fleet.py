@@ -64,7 +64,7 @@ def custom(kind: str, name: str, spec: Model, status: Model | None, **metadata: 
 
 
 def policy(*strategies: Object, name: str = "navigation", **spec: Any) -> Object:
-    given = {
+    fields = {
         "monitoring": {"yaml": TREE},
         "strategies": list(strategies)
         or [
@@ -74,7 +74,7 @@ def policy(*strategies: Object, name: str = "navigation", **spec: Any) -> Object
         ],
         **spec,
     }
-    return custom("FailurePolicy", name, FailurePolicySpec.model_validate(given), None)
+    return custom("FailurePolicy", name, FailurePolicySpec.model_validate(fields), None)
 
 
 def hot(**status: Any) -> Object:
@@ -102,8 +102,8 @@ def spare(*, size: Object | None = None, **status: Any) -> Object:
     )
 
 
-def _pool_status(given: Object) -> FallbackPoolStatus:
-    return FallbackPoolStatus(**({"observed_generation": GENERATION} | given))
+def _pool_status(counts: Object) -> FallbackPoolStatus:
+    return FallbackPoolStatus(**({"observed_generation": GENERATION} | counts))
 
 
 def recovery(
@@ -130,7 +130,7 @@ def recovery(
     }
     if startup:
         moments |= {"started": start + detection + cluster + startup, "ready": start + total}
-    given: dict[str, Any] = {
+    fields: dict[str, Any] = {
         "id": f"r{number}",
         "number": number,
         "reason": "commands: no /cmd_vel for 500 ms while /navigate_to_pose was active",
@@ -144,7 +144,7 @@ def recovery(
         "moments": Moments(**{name: rfc3339(moment) for name, moment in moments.items()}),
         "attempts": [Attempt(strategy=strategy, pod=new, result="Verified")],
     }
-    return Recovery(**(given | more))
+    return Recovery(**(fields | more))
 
 
 def recoveries() -> list[Recovery]:
@@ -175,13 +175,13 @@ def recoveries() -> list[Recovery]:
 
 
 def workload(name: str, *, status: RobotWorkloadStatus | None = None, **spec: Any) -> Object:
-    given = {
+    fields = {
         "template": world.TEMPLATE,
         "outputs": [{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}],
         "failurePolicyRef": {"name": "navigation"},
         **spec,
     }
-    return custom("RobotWorkload", name, RobotWorkloadSpec.model_validate(given), status)
+    return custom("RobotWorkload", name, RobotWorkloadSpec.model_validate(fields), status)
 
 
 def status(name: str, ending: str, epoch: int, *conditions: Condition, **more: Any) -> RobotWorkloadStatus:
@@ -195,8 +195,8 @@ def status(name: str, ending: str, epoch: int, *conditions: Condition, **more: A
         said("GateEnforced", "True", "SeenFromPackets"),
         said("Recovering", "False", "Recovered"),
     ]
-    told = {c.type: c for c in usual} | {c.type: c for c in conditions}
-    given: dict[str, Any] = {
+    conditions_by_type = {c.type: c for c in usual} | {c.type: c for c in conditions}
+    fields: dict[str, Any] = {
         "observed_generation": GENERATION,
         "active": active,
         "health": "Healthy",
@@ -205,9 +205,9 @@ def status(name: str, ending: str, epoch: int, *conditions: Condition, **more: A
         "gate": GateStatus(epoch=epoch, active=active),
         "monitor": MonitorStatus(version=__version__, image="understudy/monitor"),
         "recovery_count": 0,
-        "conditions": list(told.values()),
+        "conditions": list(conditions_by_type.values()),
     }
-    return RobotWorkloadStatus(**(given | more))
+    return RobotWorkloadStatus(**(fields | more))
 
 
 def well() -> Object:

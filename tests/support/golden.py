@@ -28,13 +28,13 @@ def begin(test: str) -> None:
     _compared.clear()
 
 
-def assert_golden(surface: str, said: str | Iterable[str], *facts: str) -> None:
+def assert_golden(surface: str, actual: str | Iterable[str], *facts: str) -> None:
     """Assert that the next text of this test is the one in the surface's file, or write it there.
 
     A text can be given as several lines. ``facts`` are what the text must contain whatever its wording: reasons,
     fields, names, numbers.
     """
-    text = said if isinstance(said, str) else "\n".join(said)
+    text = actual if isinstance(actual, str) else "\n".join(actual)
     for fact in facts:
         assert fact in text
     number = _compared.get(surface, 0)

@@ -25,10 +25,10 @@ def built() -> Path:
     return golang.build("prometheus", SOURCE, targets, ["-ldflags=-s -w"], Progress(), "five to ten minutes, once")
 
 
-def promtool(programs: Path, *arguments: str, given: str | None = None, within: float = 60) -> None:
+def promtool(programs: Path, *arguments: str, stdin: str | None = None, within: float = 60) -> None:
     """Run promtool. Raises AssertionError with its output if it fails."""
     command = [str(programs / "promtool"), *arguments]
-    done = subprocess.run(command, input=given, capture_output=True, text=True, timeout=within)
+    done = subprocess.run(command, input=stdin, capture_output=True, text=True, timeout=within)
     assert done.returncode == 0, done.stdout + done.stderr
 
 

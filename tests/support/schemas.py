@@ -138,8 +138,10 @@ def _write(out: Path, group: str, kind: str, version: str, schema: Schema) -> No
 
 def _module(go: str, module: str) -> Path:
     """Return the folder with a Go module's files."""
-    told = json.loads(run(go, "mod", "download", "-json", module, cwd=cache(), env={"GOFLAGS": "", "GOWORK": "off"}))
-    return Path(told["Dir"])
+    download = json.loads(
+        run(go, "mod", "download", "-json", module, cwd=cache(), env={"GOFLAGS": "", "GOWORK": "off"})
+    )
+    return Path(download["Dir"])
 
 
 if __name__ == "__main__":

@@ -29,23 +29,23 @@ def test_a_missing_verb_is_an_error_with_the_help_text(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert _run(monkeypatch) == 2
-    said = capsys.readouterr()
-    assert not said.out
-    assert "usage: understudy VERB" in said.err
+    captured = capsys.readouterr()
+    assert not captured.out
+    assert "usage: understudy VERB" in captured.err
 
 
 @pytest.mark.parametrize(
-    ("typed", "said"),
+    ("typed", "message"),
     [
         ("explan", "unknown verb 'explan'; did you mean 'explain'?"),
         ("frobnicate", "unknown verb 'frobnicate'; understudy --help lists all verbs"),
     ],
 )
 def test_an_unknown_verb_is_reported_with_a_similar_one(
-    typed: str, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    typed: str, message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert _run(monkeypatch, typed) == 2
-    assert capsys.readouterr().err == f"understudy: {said}\n"
+    assert capsys.readouterr().err == f"understudy: {message}\n"
 
 
 def test_the_version_is_printed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

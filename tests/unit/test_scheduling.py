@@ -40,10 +40,10 @@ def kernel() -> tuple[int, int]:
 @pytest.mark.skipif(kernel() < (6, 12), reason="this kernel takes no notice of slices")
 def test_a_process_and_its_later_threads_get_short_slices() -> None:
     number = cpu_scheduling.NUMBERS[platform.machine()][1]
-    told = subprocess.run(
+    output = subprocess.run(
         [sys.executable, "-c", READS, str(number)], capture_output=True, text=True, timeout=60, check=True
     ).stdout.split()
-    assert told == ["True", str(cpu_scheduling.SLICE), str(cpu_scheduling.SLICE)]
+    assert output == ["True", str(cpu_scheduling.SLICE), str(cpu_scheduling.SLICE)]
 
 
 def test_a_refusal_of_the_kernel_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -118,80 +118,80 @@ def heard() -> Heard:
 
 
 @pytest.fixture
-async def link(agent: Agent, heard: Heard) -> AsyncIterator[InstanceLink]:
+async def link(agent: Agent, recorder: Heard) -> AsyncIterator[InstanceLink]:
     server = await agent.sessions.serve(0, host="127.0.0.1")
     port = server.sockets[0].getsockname()[1]
-    made = InstanceLink(Instance("1", "robot-1", "127.0.0.1", port, TOKEN.decode(), ""), "robot", heard)
+    made = InstanceLink(Instance("1", "robot-1", "127.0.0.1", port, TOKEN.decode(), ""), "robot", recorder)
     yield made
     await made.close()
     server.close()
 
 
-async def test_orders_are_sent_once_and_in_order(agent: Agent, heard: Heard, link: InstanceLink) -> None:
-    heard.ordered = [order(FIRST), order(SECOND)]
+async def test_orders_are_sent_once_and_in_order(agent: Agent, recorder: Heard, link: InstanceLink) -> None:
+    recorder.ordered = [order(FIRST), order(SECOND)]
     link.wake()
     await eventually(lambda: len(agent.asked) == 3)
     link.wake()
-    heard.ordered.append(order(THIRD))
+    recorder.ordered.append(order(THIRD))
     link.wake()
     await eventually(lambda: len(agent.asked) == 4)
     assert agent.asked == [("goals", ""), ("goal", FIRST), ("goal", SECOND), ("goal", THIRD)]
 
 
 async def test_goals_that_the_agent_has_are_reported_and_not_sent_again(
-    agent: Agent, heard: Heard, link: InstanceLink
+    agent: Agent, recorder: Heard, link: InstanceLink
 ) -> None:
     agent.known = [{"id": FIRST, "state": "running", "status": 0, "result": "", "note": "note"}]
-    heard.ordered = [order(FIRST), order(SECOND)]
+    recorder.ordered = [order(FIRST), order(SECOND)]
     await eventually(lambda: ("goal", SECOND) in agent.asked)
     assert ("goal", FIRST) not in agent.asked
-    assert heard.taken_up == [FIRST]
-    assert heard.states == [(FIRST, AttemptState.RUNNING)]
+    assert recorder.taken_up == [FIRST]
+    assert recorder.states == [(FIRST, AttemptState.RUNNING)]
 
 
 async def test_a_goal_that_was_rejected_is_sent_again_when_it_is_ordered_again(
-    agent: Agent, heard: Heard, link: InstanceLink
+    agent: Agent, recorder: Heard, link: InstanceLink
 ) -> None:
-    heard.ordered = [order(FIRST)]
+    recorder.ordered = [order(FIRST)]
     await eventually(lambda: ("goal", FIRST) in agent.asked)
     agent.sessions.publish({"goal": {"id": FIRST, "state": "rejected", "status": 0, "result": ""}})
-    await eventually(lambda: heard.states == [(FIRST, AttemptState.REJECTED)])
+    await eventually(lambda: recorder.states == [(FIRST, AttemptState.REJECTED)])
     link.wake()
     await eventually(lambda: agent.asked.count(("goal", FIRST)) == 2)
 
 
-async def test_a_goal_that_is_no_longer_ordered_is_cancelled(agent: Agent, heard: Heard, link: InstanceLink) -> None:
-    heard.ordered = [order(FIRST)]
+async def test_a_goal_that_is_no_longer_ordered_is_cancelled(agent: Agent, recorder: Heard, link: InstanceLink) -> None:
+    recorder.ordered = [order(FIRST)]
     await eventually(lambda: ("goal", FIRST) in agent.asked)
-    heard.ordered = []
+    recorder.ordered = []
     link.wake()
     await eventually(lambda: ("cancel", FIRST) in agent.asked)
 
 
-async def test_a_cancellation_is_requested_once(agent: Agent, heard: Heard, link: InstanceLink) -> None:
-    heard.ordered = [order(FIRST, cancel=True)]
-    await eventually(lambda: heard.cancelled == [FIRST])
+async def test_a_cancellation_is_requested_once(agent: Agent, recorder: Heard, link: InstanceLink) -> None:
+    recorder.ordered = [order(FIRST, cancel=True)]
+    await eventually(lambda: recorder.cancelled == [FIRST])
     link.wake()
-    heard.ordered.append(order(SECOND))
+    recorder.ordered.append(order(SECOND))
     link.wake()
     await eventually(lambda: ("goal", SECOND) in agent.asked)
     assert agent.asked.count(("cancel", FIRST)) == 1
 
 
 async def test_a_refused_goal_is_reported_and_does_not_block_others(
-    agent: Agent, heard: Heard, link: InstanceLink
+    agent: Agent, recorder: Heard, link: InstanceLink
 ) -> None:
     agent.refused_action = "/dock"
-    heard.ordered = [order(FIRST, "/dock"), order(SECOND)]
+    recorder.ordered = [order(FIRST, "/dock"), order(SECOND)]
     await eventually(lambda: ("goal", SECOND) in agent.asked)
-    assert "pod robot-1" in heard.troubles["/dock"]
-    assert "its type is not installed" in heard.troubles["/dock"]
+    assert "pod robot-1" in recorder.troubles["/dock"]
+    assert "its type is not installed" in recorder.troubles["/dock"]
     agent.refused_action = ""
-    await eventually(lambda: heard.troubles["/dock"] == "")
+    await eventually(lambda: recorder.troubles["/dock"] == "")
 
 
 async def test_a_recovery_tree_receives_an_answer_after_its_goals_were_sent(
-    agent: Agent, heard: Heard, link: InstanceLink
+    agent: Agent, recorder: Heard, link: InstanceLink
 ) -> None:
     await eventually(lambda: agent.sessions.count)
     agent.sessions.publish({"resendGoals": 7})

@@ -64,11 +64,11 @@ def test_reserved_pods_are_added_to_the_size():
 @pytest.mark.parametrize("seed", range(5))
 def test_the_size_does_not_oscillate_for_a_steady_fleet(seed):
     """A fleet of 50 fails about once an hour; what comes in by chance makes the size no swing."""
-    draw, held, seen, sizes = Random(seed), None, [], []
+    draw, held, total, sizes = Random(seed), None, [], []
     for minute in range(48 * 60):
         now = minute * 60.0
-        seen += [now] * (draw.random() < 1 / 60)
-        counted = [moment for moment in seen if now - moment < 86400]
+        total += [now] * (draw.random() < 1 / 60)
+        counted = [moment for moment in total if now - moment < 86400]
         rate = estimate_rate(1.0, len(counted), 50 * min(24.0, now / 3600))
         found = decide_size(replace(AIM, refill=300.0), 50, rate, held, now)
         held = CurrentSize(found.size, found.since)

@@ -46,8 +46,8 @@ def test_an_order_is_never_empty_and_always_contains_a_restart(asked, offered, k
 @given(requirements, pools, figures)
 def test_every_pool_is_chosen_once_or_reported_as_left_out(asked, offered, known):
     found = order_strategies(asked, offered, known)
-    told = [one.candidate for one in (*found.chosen, *found.costly, *found.spared)]
-    assert sorted(told, key=repr) == sorted([*offered, Candidate("Restart")], key=repr)
+    candidates = [one.candidate for one in (*found.chosen, *found.costly, *found.spared)]
+    assert sorted(candidates, key=repr) == sorted([*offered, Candidate("Restart")], key=repr)
     for one in (*found.costly, *found.spared):
         assert one.candidate.pool in explain(found)
 
@@ -155,8 +155,8 @@ def test_high_availability_uses_one_executing_standby():
 def test_high_availability_with_low_resource_usage_is_reported_as_unmet():
     found = order(*ALL, availability="High", resource_usage="Low")
     assert one_line(found) == "Uninitialized (spare), Restart"
-    (told,) = unmet_requirements(found)
-    assert_golden("advice", told, "High", "500 ms", "Uninitialized (spare)", "3.96 s", "Executing (hot)")
+    (requirement,) = unmet_requirements(found)
+    assert_golden("advice", requirement, "High", "500 ms", "Uninitialized (spare)", "3.96 s", "Executing (hot)")
 
 
 def test_with_high_resource_usage_all_strategies_are_used():

@@ -46,7 +46,7 @@ def localize(deaf: str = "0") -> None:
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
     class Localizer(LifecycleNode):
-        heard = 0
+        offset = 0
 
         def on_configure(self, state):
             self.said = rclpy.node.Node.create_publisher(self, PoseWithCovarianceStamped, "/amcl_pose", latched)

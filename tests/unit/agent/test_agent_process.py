@@ -101,7 +101,7 @@ async def _connection(pod: Pod):
 
 
 @pytest.mark.parametrize(
-    "said",
+    "data",
     [
         b"\n",
         b"[]\n",
@@ -113,11 +113,11 @@ async def _connection(pod: Pod):
         b"[" * 3000 + b"\n",
     ],
 )
-async def test_invalid_data_ends_only_the_session(pod: Pod, links, said):
+async def test_invalid_data_ends_only_the_session(pod: Pod, links, data):
     pod.start_agent()
     reader, writer = await _connection(pod)
     await reader.readline()
-    writer.write(said)
+    writer.write(data)
     async with asyncio.timeout(5):
         while await reader.read(1000):
             pass
@@ -230,9 +230,9 @@ async def test_a_start_can_be_repeated(pod: Pod, links):
     links.append(link := pod.link())
     await link.wait_connected(60)
     await link.start({"app": {"GREETING": "once"}}, ROS)
-    begun = (await status_of(link)).started_at
+    started_at = (await status_of(link)).started_at
     await link.start({"app": {"GREETING": "twice"}}, ROS)
-    assert (await status_of(link)).started_at == begun
+    assert (await status_of(link)).started_at == started_at
     await eventually(lambda: pod.output() == "domain 77, once\n")
 
 
@@ -254,7 +254,7 @@ async def test_a_killed_agent_restarts_with_its_state(pod: Pod, links):
     links.append(link := pod.link())
     await link.wait_for(lambda s: s.ready, 60)
     await link.start({"app": {"GREETING": "kept"}}, ROS)
-    begun = (await status_of(link)).started_at
+    started_at = (await status_of(link)).started_at
     asking = asyncio.gather(*(status_of(link) for _ in range(3)), return_exceptions=True)
     await asyncio.sleep(0)
     pod.kill(agent)
@@ -268,7 +268,7 @@ async def test_a_killed_agent_restarts_with_its_state(pod: Pod, links):
     pod.start_agent()
     links.append(other := pod.link("other", "x/1"))
     status = await link.wait_for(lambda s: True, 60)
-    assert (status.phase, status.started_at) == ("Starting", begun)
+    assert (status.phase, status.started_at) == ("Starting", started_at)
     with pytest.raises(AgentGone, match="claimed by robot"):
         await other.wait_connected(1.5)
 
@@ -336,17 +336,17 @@ async def test_the_agent_ends_on_a_signal_while_it_judges_an_instance(pod: Pod, 
 
 
 @pytest.mark.parametrize(
-    ("environment", "said"),
+    ("environment", "message"),
     [
         ({"UNDERSTUDY_HELD_CONTAINERS": ""}, "neither UNDERSTUDY_WORKLOAD nor UNDERSTUDY_HELD_CONTAINERS"),
         ({"UNDERSTUDY_POD_UID": "short"}, "pod UID 'short'"),
         ({"UNDERSTUDY_POD": ""}, "UNDERSTUDY_POD not set"),
     ],
 )
-async def test_the_agent_reports_what_is_missing_in_its_environment(pod: Pod, environment, said):
+async def test_the_agent_reports_what_is_missing_in_its_environment(pod: Pod, environment, message):
     pod.environment |= environment
     assert await asyncio.to_thread(pod.start_agent().wait, 10) == 2
-    assert said in (pod.folder / "agent.log").read_text()
+    assert message in (pod.folder / "agent.log").read_text()
 
 
 async def test_probes_are_sent_to_the_address_of_the_monitor(pod: Pod, links):

@@ -91,10 +91,10 @@ def test_a_held_container_starts_within_half_a_second(hold, tmp_path):
     process = hold(["true"])
     wait_until((tmp_path / "waiting-app").exists)
     write_env(tmp_path, {})
-    begun = time.monotonic()
+    started_at = time.monotonic()
     wake(tmp_path)
     process.wait(DEADLINE)
-    assert time.monotonic() - begun < 0.5
+    assert time.monotonic() - started_at < 0.5
 
 
 def test_waiting_costs_nothing(hold, tmp_path):

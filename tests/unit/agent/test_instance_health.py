@@ -44,12 +44,12 @@ async def test_a_held_talker_is_started_and_becomes_ready(pod: Pod, links, ros):
     await link.wait_for(lambda s: s.ready, 60)
     await link.configure(TREE, OUTPUTS, 20.0)
     assert (await status_of(link)).configured
-    begun = time.time()
+    started_at = time.time()
     await link.start({}, ros)
     up = await link.wait_for(lambda s: s.process_up_at is not None, 60)
     ready = await link.wait_for(runs, 60)
     assert (await pod.page("/ready"))[0] == 200
-    assert begun < ready.started_at < up.process_up_at <= ready.ready_at
+    assert started_at < ready.started_at < up.process_up_at <= ready.ready_at
     # Whichever of the two was last in the graph, the agent reports it immediately.
     assert up.process_up_at - ups(pod)[0] < 2.0
     assert ready.ready_at - up.process_up_at < 1.0
@@ -133,17 +133,17 @@ async def test_an_instance_that_is_not_held_is_judged_from_its_start(pod: Pod, l
 async def test_a_new_tree_keeps_a_healthy_instance_ready(pod: Pod, links, ros):
     pod.start_agent()
     pod.start_container(TALK)
-    seen = []
-    links.append(link := pod.link(on_change=lambda link: seen.append(link.status and link.status.ready)))
+    healths = []
+    links.append(link := pod.link(on_change=lambda link: healths.append(link.status and link.status.ready)))
     await link.wait_connected(60)
     await link.configure(TREE, OUTPUTS, 20.0)
     await link.start({}, ros)
     await link.wait_for(runs, 60)
-    seen.clear()
+    healths.clear()
     await link.configure({"topic": {"name": "/cmd_vel", "rate": "> 10 Hz", "window": "1s"}}, OUTPUTS, 20.0)
     await asyncio.sleep(2.5)
-    assert len(seen) >= 2
-    assert all(seen)
+    assert len(healths) >= 2
+    assert all(healths)
     await link.configure({"topic": {"name": "/cmd_vel", "rate": "> 40 Hz", "window": "1s"}}, OUTPUTS, 1.0)
     failed = await link.wait_for(lambda s: not s.ready, 60)
     assert failed.reason.startswith("/cmd_vel at ")

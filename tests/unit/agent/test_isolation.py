@@ -67,14 +67,14 @@ def silent() -> Iterator[socket.socket]:
 
 async def answers(address: Address, within: float) -> bool:
     questions = ConnectionAttempts()
-    begun = time.monotonic()
-    questions.ask(address, begun)
-    while not (found := questions.answers(begun)):
-        if time.monotonic() - begun > within:
-            assert questions.answers(begun + isolation.ANSWER) == [(address, begun, False)], "it is given up"
+    started_at = time.monotonic()
+    questions.ask(address, started_at)
+    while not (found := questions.answers(started_at)):
+        if time.monotonic() - started_at > within:
+            assert questions.answers(started_at + isolation.ANSWER) == [(address, started_at, False)], "it is given up"
             return False
         await asyncio.sleep(0.01)
-    assert found[0][:2] == (address, begun)
+    assert found[0][:2] == (address, started_at)
     return found[0][2]
 
 

@@ -45,8 +45,8 @@ def test_a_ready_agent_has_not_imported_the_api_models() -> None:
 
 @pytest.mark.ros
 def test_a_held_agent_imports_nothing_more_when_it_is_claimed() -> None:
-    begun = f"import understudy.agent.process, {', '.join(_WARM)}"
-    more = _modules(f"{begun}\n{CONFIGURED}") - _modules(begun)
+    imports = f"import understudy.agent.process, {', '.join(_WARM)}"
+    more = _modules(f"{imports}\n{CONFIGURED}") - _modules(imports)
     assert not {name for name in more if name.startswith("understudy.")}
 
 

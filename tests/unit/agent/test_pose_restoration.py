@@ -106,7 +106,7 @@ def kept(motion: Motion | None, *, stamp: str = "kept") -> KeptSample:
 
 def motion(gid: bytes, **fields: object) -> Motion:
     """It drove a metre along odometry's x since, half of which the monitor has seen."""
-    seen = time.time_ns() - 1_000_000_000
+    pose_time = time.time_ns() - 1_000_000_000
     usual = Motion(
         topic="/odom",
         type=ODOMETRY,
@@ -115,8 +115,8 @@ def motion(gid: bytes, **fields: object) -> Motion:
         child="base_link",
         then=planar(1.0),
         last=planar(1.5),
-        stamp=seen,
-        received=seen * 1e-9,
+        stamp=pose_time,
+        received=pose_time * 1e-9,
         driven=0.5,
     )
     return replace(usual, **fields)

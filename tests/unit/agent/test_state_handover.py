@@ -112,9 +112,9 @@ async def test_large_state_is_sent_in_several_requests(robot: Pod, links: list[A
 async def test_a_missing_agent_is_reported_in_bounded_time(tmp_path: Any) -> None:
     link = AgentLink("127.0.0.1", 1, b"token", "robot", "")
     monitor = sidecars(link, tmp_path)
-    begun = time.monotonic()
+    started_at = time.monotonic()
     report = await monitor.restore(INSTANCE, KeptState((pose(),)), 0.5)
-    assert time.monotonic() - begun < 10
+    assert time.monotonic() - started_at < 10
     assert report.problem.startswith("/amcl_pose: ")
     assert re.search(r"within 0\.[0-5]\d* s$", report.problem)
     with pytest.raises(AgentGone):

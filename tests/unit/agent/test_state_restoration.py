@@ -105,9 +105,9 @@ async def test_earlier_messages_confirm_nothing(
     await restorer.restore(KeptState((pose(),)), within=WITHIN)
     await localized(caller)  # latched: it is there for every late joiner
     other = KeptSample("/map_pose", POSE, time.time(), pose().data, to="/nowhere", confirm="/amcl_pose")
-    begun = time.monotonic()
+    started_at = time.monotonic()
     report = await restorer.restore(KeptState((other,)), within=2.0)
-    assert time.monotonic() - begun < 10
+    assert time.monotonic() - started_at < 10
     (entry,) = report.failed
     assert entry.reason.startswith(f"nobody subscribes to /nowhere as {POSE} within ")
 
@@ -117,18 +117,18 @@ async def test_a_missing_confirmation_fails_in_bounded_time(
 ) -> None:
     localizer("1000")
     await caller.bring_to("/localizer", "inactive", WITHIN)
-    begun = time.monotonic()
+    started_at = time.monotonic()
     report = await restorer.restore(KeptState((pose(confirm="/amcl_pose"),)), within=8.0)
-    assert time.monotonic() - begun < 20
+    assert time.monotonic() - started_at < 20
     (entry,) = report.failed
     assert entry.name == "/amcl_pose"
     assert_golden("agent", entry.reason.partition(" within ")[0], "/initialpose")
 
 
 async def test_a_topic_without_a_subscriber_fails_in_bounded_time_and_is_named(restorer: StateRestorer) -> None:
-    begun = time.monotonic()
+    started_at = time.monotonic()
     report = await restorer.restore(KeptState((pose(),)), within=1.0)
-    assert time.monotonic() - begun < 10
+    assert time.monotonic() - started_at < 10
     assert report.restored == ()
     assert report.problem.startswith(f"/amcl_pose: nobody subscribes to /initialpose as {POSE} within ")
 

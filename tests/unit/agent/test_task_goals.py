@@ -72,63 +72,63 @@ def body(goal: str, order: int) -> dict:
 async def agent(dds, pod: Pod, links):
     pod.environment = {"UNDERSTUDY_WORKLOAD": "robot"}
     pod.start_agent()
-    told = Told()
-    links.append(link := pod.link(claim="", on_event=told))
+    events = Told()
+    links.append(link := pod.link(claim="", on_event=events))
     await link.wait_connected(60)
     await link.configure(TREE, OUTPUTS, 60.0)
-    return link, told
+    return link, events
 
 
 async def test_goals_are_followed_and_executed_once_although_the_agent_is_killed(agent, pod: Pod, links, start):  # noqa: F811
-    link, told = agent
+    link, events = agent
     long, short, wrong, aborted = (uuid.uuid4().hex for _ in range(4))
     # Asked for before the server is there: it is waited for.
     await link.request("goal", body(short, 4))
     server = start("serve", ACTION, STEP="0.2")
     outside = start("client", ACTION, "3", UNDERSTUDY_POD="another-pod")
-    await eventually(lambda: told.said(short, "ended"), 60)
-    assert told.said(short, "ended")["status"] == SUCCEEDED
-    assert len([f for f in told.feedback if f["id"] == short]) == 4
+    await eventually(lambda: events.said(short, "ended"), 60)
+    assert events.said(short, "ended")["status"] == SUCCEEDED
+    assert len([f for f in events.feedback if f["id"] == short]) == 4
     for goal, order in ((long, 480), (wrong, 1000), (aborted, 510)):
         await link.request("goal", body(goal, order))
-    await eventually(lambda: told.said(long, "running") and told.said(wrong, "rejected"), 60)
-    await eventually(lambda: told.said(aborted, "ended"), 60)
-    assert told.said(aborted, "ended")["status"] == ABORTED
+    await eventually(lambda: events.said(long, "running") and events.said(wrong, "rejected"), 60)
+    await eventually(lambda: events.said(aborted, "ended"), 60)
+    assert events.said(aborted, "ended")["status"] == ABORTED
     pod.kill(pod.agent)
     await eventually(lambda: not link.connected)
     pod.start_agent()
     await link.wait_connected(60)
     assert (await link.request("goals", {}))["goals"] == []
-    told.goals.clear()
+    events.goals.clear()
     await link.request("goal", body(long, 480))
-    await eventually(lambda: told.said(long, "running"), 60)
+    await eventually(lambda: events.said(long, "running"), 60)
     assert len(server.said("executing", goal=long)) == 1
     assert (await link.request("cancel", {"goal": long})).items() >= {"known": True, "accepted": True}.items()
-    await eventually(lambda: told.said(long, "ended"), 60)
-    assert told.said(long, "ended")["status"] == CANCELED
+    await eventually(lambda: events.said(long, "ended"), 60)
+    assert events.said(long, "ended")["status"] == CANCELED
     assert not (await link.request("cancel", {"goal": uuid.uuid4().hex}))["known"]
     # The server is in its pod's partition: a client of another one doesn't reach it.
     assert not outside.said("ready")
 
 
 async def test_a_restarted_server_has_lost_its_goals(agent, start):  # noqa: F811
-    link, told = agent
+    link, events = agent
     goal = uuid.uuid4().hex
     server = start("serve", ACTION, STEP="0.2")
     await link.request("goal", body(goal, 499))
-    await eventually(lambda: told.said(goal, "running"), 60)
+    await eventually(lambda: events.said(goal, "running"), 60)
     server.kill()
     start("serve", ACTION)
-    await eventually(lambda: told.said(goal, "lost"), 60)
+    await eventually(lambda: events.said(goal, "lost"), 60)
 
 
 async def test_a_result_with_a_lost_answer_is_requested_again(agent, start):  # noqa: F811
-    link, told = agent
+    link, events = agent
     goal = uuid.uuid4().hex
     server = start("serve", ACTION, DROP="1")
     await link.request("goal", body(goal, 3))
-    await eventually(lambda: told.said(goal, "ended"), 60)
-    assert told.said(goal, "ended")["status"] == SUCCEEDED
+    await eventually(lambda: events.said(goal, "ended"), 60)
+    assert events.said(goal, "ended")["status"] == SUCCEEDED
     assert len(server.said("dropped")) == 1
 
 
@@ -141,10 +141,10 @@ async def test_impossible_orders_are_refused(agent):
 
 
 async def test_a_recovery_tree_requests_the_goals_and_waits_until_they_are_sent(agent):
-    link, told = agent
+    link, events = agent
     tree = {"resend_goals": {}}
     running = asyncio.create_task(link.request("procedure", {"tree": tree, "within": 20, "name": "p"}, within=30))
-    await eventually(lambda: told.resends, 60)
+    await eventually(lambda: events.resends, 60)
     assert not running.done()
-    await link.request("resent", {"number": told.resends[0]})
+    await link.request("resent", {"number": events.resends[0]})
     await running

@@ -21,10 +21,10 @@ def test_now_is_formatted_as_in_kubernetes() -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "status"), [(True, "True"), (False, "False"), ("Unknown", "Unknown"), ("True", "True")]
+    ("value", "status"), [(True, "True"), (False, "False"), ("Unknown", "Unknown"), ("True", "True")]
 )
-def test_a_boolean_becomes_a_status(given: object, status: str) -> None:
-    assert condition("Ready", given, "Tested").status == status  # type: ignore[arg-type]
+def test_a_boolean_becomes_a_status(value: object, status: str) -> None:
+    assert condition("Ready", value, "Tested").status == status  # type: ignore[arg-type]
 
 
 def test_an_unchanged_status_keeps_its_time_and_takes_the_other_fields() -> None:

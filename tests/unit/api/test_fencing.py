@@ -58,14 +58,14 @@ class Container:
             os.mkfifo(self.fifo, 0o666)
         self.process: subprocess.Popen[str] | None = None
 
-    def start(self, program: str = COUNTING, *, begun: bool = True) -> None:
+    def start(self, program: str = COUNTING, *, started: bool = True) -> None:
         command = [sys.executable, "-c", program, str(self.output)]
         made = freeze_script.fenced_command("drive", command, [], scope=self.scope, directory=str(self.folder))
         namespace = ["unshare", "--pid", "--fork", "--mount-proc", "--kill-child"] if self.scope == "all" else []
         self.process = subprocess.Popen(
             [*namespace, *self.shell, *made[1:]], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
-        if begun:
+        if started:
             assert self.process.stdout is not None
             assert self.process.stdout.readline()
 
@@ -166,7 +166,7 @@ def test_all_processes_stop_and_the_same_processes_continue(container: Container
 
 def test_an_application_that_starts_while_it_is_held_waits(container: Container) -> None:
     (container.folder / freeze_script.HELD_NAME).touch()
-    container.start(begun=False)
+    container.start(started=False)
     time.sleep(0.4)
     assert not container.application()
     container.release()

@@ -68,9 +68,9 @@ def test_state_is_selected_by_topic_restore_target_or_node() -> None:
 
 
 def test_only_changed_state_is_selected() -> None:
-    given = KEPT.contents() | {"/amcl_pose": b"elsewhere"}
-    given.pop(STATE.name)
-    changed = KEPT.changed_from(given)
+    contents = KEPT.contents() | {"/amcl_pose": b"elsewhere"}
+    contents.pop(STATE.name)
+    changed = KEPT.changed_from(contents)
     assert (changed.samples, changed.parameters, changed.lifecycle) == ((POSE,), (), (STATE,))
     assert not KEPT.changed_from(KEPT.contents())
 

@@ -45,7 +45,7 @@ def test_every_failure_has_a_leaf_and_all_are_equally_frequent():
 
 
 @pytest.mark.parametrize(
-    ("path", "failure", "begun", "arrivals", "moment"),
+    ("path", "failure", "started_at", "arrivals", "moment"),
     [
         ("driving/cmd_vel", {}, 10.02, [9.9, 9.95, 10.0], 10.3),
         ("transforms/base_link", {}, 10.02, [10.0, 10.01], 10.29),
@@ -56,8 +56,8 @@ def test_every_failure_has_a_leaf_and_all_are_equally_frequent():
         ("state/battery", {"spoil": "empty"}, 10.3, [9.8, 10.001, 10.2], None),
     ],
 )
-def test_a_failure_counts_from_the_moment_that_its_limit_gives(path, failure, begun, arrivals, moment):
-    found = due(BY_PATH[path], Failure("some", path, failure), begun, {"arrivals": arrivals, "onset": 9.99})
+def test_a_failure_counts_from_the_moment_that_its_limit_gives(path, failure, started_at, arrivals, moment):
+    found = due(BY_PATH[path], Failure("some", path, failure), started_at, {"arrivals": arrivals, "onset": 9.99})
     assert found == (pytest.approx(moment) if moment is not None else None)
 
 
@@ -91,7 +91,7 @@ def test_an_alarm_is_true_if_the_sender_was_late_by_its_own_clock(path, sent, fa
 
 def test_the_tree_of_the_manipulator_uses_all_published_topics():
     judged = load(manipulator.monitoring()["yaml"])
-    heard = {topic.name: topic for topic in judged.topics if not topic.task}
-    assert {name: topic.type for name, topic in heard.items()} == {one.topic: one.type for one in manipulator.STREAMS}
+    topics = {topic.name: topic for topic in judged.topics if not topic.task}
+    assert {name: topic.type for name, topic in topics.items()} == {one.topic: one.type for one in manipulator.STREAMS}
     assert {topic.name for topic in judged.topics if topic.task} == {f"{a}/_action/status" for a in manipulator.ACTIONS}
     assert len(manipulator.STREAMS) == 10

@@ -96,8 +96,8 @@ def test_the_columns_of_a_table_come_from_its_queries(panel: Object) -> None:
 
 def test_a_legend_uses_existing_labels() -> None:
     labels = {
-        name: set(re.findall(r"`(\w+)`", told))
-        for name, told in re.findall(r"(?m)^\| `(\w+)` \| \w+ \| (.*?) \|", page())
+        name: set(re.findall(r"`(\w+)`", label_text))
+        for name, label_text in re.findall(r"(?m)^\| `(\w+)` \| \w+ \| (.*?) \|", page())
     }
     for target in targets():
         (first, *_) = re.findall(r"understudy_\w+|process_\w+", target["expr"])
@@ -115,9 +115,9 @@ def test_every_state_has_the_same_colour_in_all_panels() -> None:
     (mapped,) = timeline["fieldConfig"]["defaults"]["mappings"]
     numbers = dict(re.findall(r'(\d+) \* sum\(\w+\{health="(\w+)"', timeline["targets"][0]["expr"]))
     assert {
-        numbers[number]: told["color"] for number, told in mapped["options"].items() if number in numbers
+        numbers[number]: option["color"] for number, option in mapped["options"].items() if number in numbers
     } == colours
-    assert all(numbers[number] == told["text"] for number, told in mapped["options"].items() if number in numbers)
+    assert all(numbers[number] == option["text"] for number, option in mapped["options"].items() if number in numbers)
 
 
 def test_a_gate_in_an_unknown_state_is_not_shown_as_open() -> None:
@@ -174,9 +174,9 @@ def test_the_fleet_of_the_dashboard_tests_exports_every_queried_metric() -> None
     end = 1e9
     operator = fleet(end)
     sources: list[Source] = [*operator.robots, operator]
-    told = {line.partition("{")[0] for source in sources for line in source.told(end)}
-    assert told <= exposed() | OTHERS
-    assert {name for t in targets() for name in re.findall(r"\b(?:understudy|process)_[a-z_]+", t["expr"])} <= told
+    samples = {line.partition("{")[0] for source in sources for line in source.told(end)}
+    assert samples <= exposed() | OTHERS
+    assert {name for t in targets() for name in re.findall(r"\b(?:understudy|process)_[a-z_]+", t["expr"])} <= samples
 
 
 def _titled(title: str) -> Object:

@@ -24,11 +24,11 @@ def test_doctor_finds_the_deployment_of_the_chart_and_reads_its_settings(render:
 
 def test_doctor_requires_only_rights_that_the_chart_grants(render: Render) -> None:
     rules = one(render(), "ClusterRole", "understudy-operator")["rules"]
-    given = {
+    granted = {
         (group, resource, verb)
         for rule in rules
         for group in rule["apiGroups"]
         for resource in rule["resources"]
         for verb in rule["verbs"]
     }
-    assert {(right.group, right.resource, right.verb) for right in rights_check.operators()} <= given
+    assert {(right.group, right.resource, right.verb) for right in rights_check.operators()} <= granted

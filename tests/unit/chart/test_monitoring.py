@@ -85,5 +85,7 @@ def test_the_rules_in_the_chart_equal_the_file(render: Render) -> None:
 
 def test_the_dashboards_in_the_chart_equal_the_files(render: Render) -> None:
     found = one(render("metrics.dashboards.enabled=true"), "ConfigMap")
-    told: dict[str, Any] = {name.removeprefix("understudy-"): json.loads(text) for name, text in found["data"].items()}
-    assert told == DASHBOARDS
+    configured: dict[str, Any] = {
+        name.removeprefix("understudy-"): json.loads(text) for name, text in found["data"].items()
+    }
+    assert configured == DASHBOARDS

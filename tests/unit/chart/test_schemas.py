@@ -53,9 +53,11 @@ class Judged:
     """What kubeconform says of some manifests."""
 
     def __init__(self, output: str) -> None:
-        told = json.loads(output)
-        self.valid: int = told["summary"]["valid"]
-        self.problems: list[str] = [f"{one['kind']} {one['name']}: {one['msg']}" for one in told.get("resources", [])]
+        results = json.loads(output)
+        self.valid: int = results["summary"]["valid"]
+        self.problems: list[str] = [
+            f"{one['kind']} {one['name']}: {one['msg']}" for one in results.get("resources", [])
+        ]
 
 
 @pytest.fixture(scope="module")

@@ -24,8 +24,8 @@ def test_the_templates_pass_their_suites(suite: Path) -> None:
 
 def test_every_template_has_a_suite() -> None:
     templates = {str(path.relative_to(CHART / "templates")) for path in (CHART / "templates").rglob("*.[yt]*")}
-    told = "\n".join(suite.read_text() for suite in SUITES)
-    assert {name for name in templates if name not in told} == {"_helpers.tpl"}
+    texts = "\n".join(suite.read_text() for suite in SUITES)
+    assert {name for name in templates if name not in texts} == {"_helpers.tpl"}
 
 
 def test_the_packaged_chart_does_not_contain_the_suites(helm: str, tmp_path: Path) -> None:

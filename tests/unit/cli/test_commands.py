@@ -41,28 +41,28 @@ def test_timeline_shows_the_last_recoveries(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str], in_the_present: None
 ) -> None:
     assert timeline.main(["robot-17-navigation", "-n", "fleet", "--last", "1"]) == 0
-    told = capsys.readouterr().out
-    assert told.startswith("fleet/robot-17-navigation: 3 recoveries\n")
-    assert told.count("recovered in") == 1
+    output = capsys.readouterr().out
+    assert output.startswith("fleet/robot-17-navigation: 3 recoveries\n")
+    assert output.count("recovered in") == 1
     assert stand.asked[0].startswith("--namespace=fleet get robotworkloads.understudy.dev robot-17-navigation -o json")
 
 
-@pytest.mark.parametrize("given", ["0", "-1", "all"])
-def test_the_number_of_recoveries_must_be_at_least_one(capsys: pytest.CaptureFixture[str], given: str) -> None:
+@pytest.mark.parametrize("count", ["0", "-1", "all"])
+def test_the_number_of_recoveries_must_be_at_least_one(capsys: pytest.CaptureFixture[str], count: str) -> None:
     with pytest.raises(SystemExit) as ended:
-        timeline.main(["robot-17-navigation", f"--last={given}"])
+        timeline.main(["robot-17-navigation", f"--last={count}"])
     assert ended.value.code == 2
-    assert f"argument --last: found '{given}'; give a whole number of at least 1" in capsys.readouterr().err
+    assert f"argument --last: found '{count}'; give a whole number of at least 1" in capsys.readouterr().err
 
 
 def test_timeline_prints_the_records_as_json(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     assert timeline.main(["robot-17-navigation", "-o", "yaml"]) == 0
     written = yaml.safe_load(capsys.readouterr().out)
     assert timeline.main(["robot-17-navigation", "-o", "json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told == written
-    assert told["recoveries"] == fleet.well()["status"]["recoveries"]
-    assert (told["namespace"], told["name"], told["recoveryCount"]) == ("fleet", "robot-17-navigation", 3)
+    output = json.loads(capsys.readouterr().out)
+    assert output == written
+    assert output["recoveries"] == fleet.well()["status"]["recoveries"]
+    assert (output["namespace"], output["name"], output["recoveryCount"]) == ("fleet", "robot-17-navigation", 3)
 
 
 def test_explain_reads_the_objects_around_the_robot(
@@ -71,9 +71,9 @@ def test_explain_reads_the_objects_around_the_robot(
     item = fleet.well()
     stand.tell([*fleet.around(item), fleet.event(9, "GateBlocked", "Packets of w-2")])
     assert explain.main(["robot-17-navigation"]) == 0
-    told = capsys.readouterr().out
-    assert "✓ 1. Fallback from pool navigation-hot would run" in told
-    assert "9s ago  GateBlocked" in told
+    output = capsys.readouterr().out
+    assert "✓ 1. Fallback from pool navigation-hot would run" in output
+    assert "9s ago  GateBlocked" in output
     assert "involvedObject.kind=RobotWorkload,involvedObject.name=robot-17-navigation" in stand.asked[-1]
     assert not any("configmaps" in line for line in stand.asked), "the policy has its tree in it"
     stand.tell([i for i in fleet.around(item) if "monitor" not in i["metadata"]["name"]])
@@ -85,8 +85,8 @@ def test_explain_uses_the_existing_pods_instead_of_an_outdated_status(
 ) -> None:
     # Its standby is in control now, and no status says yet that no other standby is left.
     item = fleet.well()
-    said = {one["type"]: one["status"] for one in item["status"]["conditions"]}
-    assert said["Protected"] == "True"
+    statuses = {one["type"]: one["status"] for one in item["status"]["conditions"]}
+    assert statuses["Protected"] == "True"
     found = [one for one in fleet.around(item) if one["metadata"]["name"] != "robot-17-navigation-w7h5k"]
     stand.tell(found)
     assert explain.main(["robot-17-navigation"]) == 1
@@ -106,18 +106,22 @@ def test_explain_prints_json(
     item = fleet.unprotected()
     stand.tell([*fleet.around(item, standby_waits="ImagePullBackOff"), fleet.event(9, "GateBlocked", "Packets of w-2")])
     assert explain.main(["robot-19-navigation", "-o", output]) == 1
-    told = read(capsys.readouterr().out)
-    assert (told["namespace"], told["name"], told["health"]) == ("fleet", "robot-19-navigation", "Healthy")
-    assert (told["protected"], told["reason"], told["active"]) == (
+    printed_text = read(capsys.readouterr().out)
+    assert (printed_text["namespace"], printed_text["name"], printed_text["health"]) == (
+        "fleet",
+        "robot-19-navigation",
+        "Healthy",
+    )
+    assert (printed_text["protected"], printed_text["reason"], printed_text["active"]) == (
         False,
         "ImagePullBackOff",
         "robot-19-navigation-c5n8r",
     )
-    assert [one["available"] for one in told["strategies"]] == [False, True, True]
-    assert told["strategies"][1]["verifyWithin"] == "20s"
-    assert told["ifItFailedNow"][0]["state"] == "Failed"
-    assert told["missing"][0]["text"].startswith("not protected (ImagePullBackOff")
-    assert told["lately"] == [{"text": "9s ago  GateBlocked: Packets of w-2", "state": ""}]
+    assert [one["available"] for one in printed_text["strategies"]] == [False, True, True]
+    assert printed_text["strategies"][1]["verifyWithin"] == "20s"
+    assert printed_text["ifItFailedNow"][0]["state"] == "Failed"
+    assert printed_text["missing"][0]["text"].startswith("not protected (ImagePullBackOff")
+    assert printed_text["lately"] == [{"text": "9s ago  GateBlocked: Packets of w-2", "state": ""}]
 
 
 def test_explain_requests_the_deployment_that_the_workload_refers_to(

@@ -92,9 +92,9 @@ def test_the_order_does_not_change_during_a_recovery() -> None:
     made.build()
     made.workload["status"] = {"health": "Recovering", "recoveries": recovered("Restart", 1.1)}
     assert order(made.plan()) == ["warm", "spare", "Restart"]
-    said = made.condition("StrategiesChosen")["message"]
-    assert said.startswith("Restart, Uninitialized (spare). ")
-    assert_golden("operator", said, "Initialized (warm), Uninitialized (spare), Restart")
+    message = made.condition("StrategiesChosen")["message"]
+    assert message.startswith("Restart, Uninitialized (spare). ")
+    assert_golden("operator", message, "Initialized (warm), Uninitialized (spare), Restart")
 
 
 def test_a_pool_that_is_added_after_a_failed_recovery_is_chosen() -> None:
@@ -137,17 +137,17 @@ def test_the_status_reports_the_chosen_order_and_the_reason() -> None:
     status = made.status()
     assert status["strategies"].split(", ") == ["Initialized (warm)", "Uninitialized (spare)", "Restart"]
     assert status["standby"] == "Initialized (1/1)"
-    said = made.condition("StrategiesChosen")
-    assert (said["status"], said["reason"]) == ("True", "Chosen")
-    assert_golden("operator", said["message"], "within 2 s", "availability Medium")
-    assert "Left out: Executing (hot) would use 0.96" in said["message"]
+    condition = made.condition("StrategiesChosen")
+    assert (condition["status"], condition["reason"]) == ("True", "Chosen")
+    assert_golden("operator", condition["message"], "within 2 s", "availability Medium")
+    assert "Left out: Executing (hot) would use 0.96" in condition["message"]
     assert_golden("operator", made.condition("Protected")["message"], "pool warm", "w-w (Initialized)")
 
 
 def test_unmet_requirements_are_reported() -> None:
-    said = world(auto(availability="High", resourceUsage="Low")).condition("StrategiesChosen")
-    assert (said["status"], said["reason"]) == ("False", "RequirementsNotMet")
-    assert_golden("operator", said["message"], "Executing (hot)")
+    condition = world(auto(availability="High", resourceUsage="Low")).condition("StrategiesChosen")
+    assert (condition["status"], condition["reason"]) == ("False", "RequirementsNotMet")
+    assert_golden("operator", condition["message"], "Executing (hot)")
 
 
 def test_the_status_reports_listed_strategies_without_a_reason() -> None:
@@ -158,8 +158,8 @@ def test_the_status_reports_listed_strategies_without_a_reason() -> None:
 
 def test_the_short_form_of_automatic_strategies_is_auto() -> None:
     assert policy_status.in_short(auto(), {"hot": hot()}) == "Auto"
-    (said,) = policy_status.conditions(auto(), {"hot": hot()}, {})
-    assert said.status == "True"
+    (condition,) = policy_status.conditions(auto(), {"hot": hot()}, {})
+    assert condition.status == "True"
 
 
 def test_the_order_of_the_objects_does_not_change_the_chosen_strategies() -> None:

@@ -39,8 +39,13 @@ def prewarming(*strategies: str, pool: str = "hot") -> Object:
 
 
 def status(degraded: str, health: str = "") -> Object:
-    said = {"type": "Degraded", "status": degraded, "reason": "NotWell", "lastTransitionTime": "2026-01-01T00:00:00Z"}
-    return {"conditions": [said], **({"health": health} if health else {})}
+    condition = {
+        "type": "Degraded",
+        "status": degraded,
+        "reason": "NotWell",
+        "lastTransitionTime": "2026-01-01T00:00:00Z",
+    }
+    return {"conditions": [condition], **({"health": health} if health else {})}
 
 
 def world(degraded: str = "True", *, per_workload: int = 0, health: str = "", asked: Object | None = None) -> World:
@@ -56,8 +61,8 @@ def world(degraded: str = "True", *, per_workload: int = 0, health: str = "", as
 
 def test_a_pool_without_standbys_creates_one_while_the_workload_is_degraded() -> None:
     assert len(created(world("True").plan(), "pods")) == 1
-    for said in ("False", "Unknown"):
-        assert not created(world(said).plan(), "pods")
+    for degraded in ("False", "Unknown"):
+        assert not created(world(degraded).plan(), "pods")
 
 
 def test_the_additional_standby_is_added_to_the_regular_ones() -> None:
@@ -116,15 +121,15 @@ def test_an_additional_standby_is_created_while_a_claimed_pod_is_active() -> Non
 
 
 def test_the_monitor_knows_the_pool_with_and_without_an_additional_standby() -> None:
-    for said in ("True", "False"):
-        settings = json.loads(applied(world(said).plan(), "configmaps")["w-settings"]["data"]["settings.json"])
+    for degraded in ("True", "False"):
+        settings = json.loads(applied(world(degraded).plan(), "configmaps")["w-settings"]["data"]["settings.json"])
         assert [pool["name"] for pool in settings["pools"]] == ["hot", "spare"]
 
 
 class TestProtection:
     def test_an_additional_standby_does_not_protect_before_it_is_ready(self) -> None:
-        for said in ("True", "False"):
-            made = world(said)
+        for degraded in ("True", "False"):
+            made = world(degraded)
             assert made.condition("Protected")["status"] == "True"
             assert "from pool spare" in made.condition("Protected")["message"]
             assert made.status()["standby"] == "Uninitialized (1/1)"

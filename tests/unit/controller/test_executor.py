@@ -141,23 +141,23 @@ async def fight(resource: Resource) -> tuple[Fought, list[list[str]]]:
     store = Store()
     client = Fought(store, resource)
     ours = {**config_map("workload"), "data": {"A": "ours"}}
-    working, told = executor(client, store), []
+    working, reports = executor(client, store), []
     for _ in range(20):
         client.change_back()
-        told.append([problem.message for problem in await working.run(KEY, [Apply(resource, ours)])])
-    return client, told
+        reports.append([problem.message for problem in await working.run(KEY, [Apply(resource, ours)])])
+    return client, reports
 
 
 async def test_an_object_that_somebody_reverts_each_time_is_reported_and_repaired_less_often() -> None:
-    client, told = await fight(CONFIG_MAPS)
+    client, reports = await fight(CONFIG_MAPS)
     assert client.applies == 1 + AT_ONCE
-    assert told[: 1 + AT_ONCE] == [[]] * (1 + AT_ONCE)
-    (message,) = told[-1]
+    assert reports[: 1 + AT_ONCE] == [[]] * (1 + AT_ONCE)
+    (message,) = reports[-1]
     assert_golden("operator", message, "ConfigMap w-robot-env")
     assert "data.A" in message
 
 
 async def test_a_network_policy_that_somebody_reverts_is_always_repaired_and_reported() -> None:
-    client, told = await fight(NETWORK_POLICIES)
+    client, reports = await fight(NETWORK_POLICIES)
     assert client.applies == 20
-    assert "repeatedly" in told[-1][0]
+    assert "repeatedly" in reports[-1][0]

@@ -46,13 +46,13 @@ def untimed(status: Object) -> list[Object]:
 
 
 def test_a_valid_tree_is_in_force() -> None:
-    told = status(referring(), trees(health_yaml=GOOD))
-    assert told["conditions"][0]["status"] == "True"
-    assert told["tree"] == {"name": "trees", "key": "health.yaml", "yaml": TREE}
-    told = status(referring("health.xml"), trees(health_xml=XML))
-    assert told["tree"] == {"name": "trees", "key": "health.xml", "xml": XML}
-    told = status(referring("health.osc"), trees(health_osc=OSC))
-    assert told["tree"] == {"name": "trees", "key": "health.osc", "osc": OSC}
+    reported = status(referring(), trees(health_yaml=GOOD))
+    assert reported["conditions"][0]["status"] == "True"
+    assert reported["tree"] == {"name": "trees", "key": "health.yaml", "yaml": TREE}
+    reported = status(referring("health.xml"), trees(health_xml=XML))
+    assert reported["tree"] == {"name": "trees", "key": "health.xml", "xml": XML}
+    reported = status(referring("health.osc"), trees(health_osc=OSC))
+    assert reported["tree"] == {"name": "trees", "key": "health.osc", "osc": OSC}
 
 
 @pytest.mark.parametrize(

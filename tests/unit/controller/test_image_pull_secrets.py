@@ -65,8 +65,8 @@ def test_only_monitors_and_discovery_servers_have_the_configured_priority_class(
 ) -> None:
     monkeypatch.setattr(world, "IMAGES", replace(IMAGES, priority_class="robots"))
     found = pods(World(workload(), policy("hot"), hot()))
-    given = {name: pod["priorityClassName"] for name, pod in found.items() if "priorityClassName" in pod}
-    assert given == {"w-monitor": "robots", "w-discovery": "robots"}
+    priorities = {name: pod["priorityClassName"] for name, pod in found.items() if "priorityClassName" in pod}
+    assert priorities == {"w-monitor": "robots", "w-discovery": "robots"}
 
 
 def test_the_operator_reads_the_pull_secrets_from_its_environment_or_options(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -82,10 +82,10 @@ def test_a_container_that_has_enough_is_not_resized_and_is_reported_as_resized()
     made = world(MORE, pod=running(resources=enough))
     found = only(made)
     assert found.write is None
-    said = in_place_resize.judged([found])
-    assert said is not None
-    assert (said.status, said.reason) == ("True", "Resized")
-    assert said.message == "container app of pod w-a has cpu 1500m."
+    status = in_place_resize.judged([found])
+    assert status is not None
+    assert (status.status, status.reason) == ("True", "Resized")
+    assert status.message == "container app of pod w-a has cpu 1500m."
 
 
 def test_nothing_is_resized_without_degradation_or_with_an_invalid_policy() -> None:
@@ -122,7 +122,7 @@ def test_a_container_that_would_restart_is_not_resized() -> None:
 
 
 @pytest.mark.parametrize(
-    ("said", "reason", "words"),
+    ("condition", "reason", "words"),
     [
         (
             {"type": "PodResizePending", "reason": "Deferred", "message": "Node didn't have enough resource: cpu"},
@@ -142,9 +142,9 @@ def test_a_container_that_would_restart_is_not_resized() -> None:
         ),
     ],
 )
-def test_the_answer_of_the_kubelet_is_reported(said: Object, reason: str, words: str) -> None:
+def test_the_answer_of_the_kubelet_is_reported(condition: Object, reason: str, words: str) -> None:
     pod = running(resources={"requests": {"cpu": "1500m"}, "limits": {"cpu": "1500m"}})
-    pod["status"]["conditions"].append({"status": "True", **said})
+    pod["status"]["conditions"].append({"status": "True", **condition})
     found = only(world(MORE, pod=pod))
     assert (found.reason, found.write) == (reason, None)
     assert words in found.message
@@ -161,10 +161,10 @@ def test_a_resize_that_the_api_server_refuses_is_reported() -> None:
     first, second = outcomes(made)
     refused = in_place_resize.refused(first, Problem("Forbidden", "Pod w-a: exceeded quota"))
     assert (refused.reason, refused.write) == ("Refused", None)
-    said = in_place_resize.judged([refused, second])
-    assert said is not None
-    assert (said.status, said.reason) == ("False", "Refused")
-    assert "exceeded quota" in said.message
+    status = in_place_resize.judged([refused, second])
+    assert status is not None
+    assert (status.status, status.reason) == ("False", "Refused")
+    assert "exceeded quota" in status.message
 
 
 AMOUNTS = st.dictionaries(
@@ -201,8 +201,8 @@ class TestStatus:
         from understudy.controller.reconcile.reconciler import _says
         from understudy.controller.status import workload_status
 
-        said = in_place_resize.judged(outcomes(made))
-        status = workload_status.status(made.observed(), made.understood(), (), said)
+        condition_status = in_place_resize.judged(outcomes(made))
+        status = workload_status.status(made.observed(), made.understood(), (), condition_status)
         assert [c["type"] for c in status["conditions"]][-1] == "Resized"
         item = {"status": {**status, "conditions": status["conditions"]}}
         assert _says(item, status)

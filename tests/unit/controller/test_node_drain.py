@@ -198,19 +198,19 @@ def node(version: int, **spec: Any) -> Object:
 
 
 def test_a_node_is_stored_without_other_fields_and_only_a_cordon_reconciles_workloads() -> None:
-    store, seen = Store(), []
+    store, reconciled = Store(), []
     store.put(WORKLOADS, workload())
     store.put(PODS, on("node-1", source_pod("w-1")))
     store.put(PODS, on("node-2", source_pod("v-1", of="v")))
     store.put(PODS, on("node-1", pod("stranger")))
-    store.noticed = lambda sight: seen.append(change_index.of(sight, store).keys)
+    store.noticed = lambda sight: reconciled.append(change_index.of(sight, store).keys)
     store.put(NODES, node(1, podCIDR="10.0.0.0/24"))
     store.put(NODES, node(2))
     store.put(NODES, node(3, unschedulable=True))
     store.put(NODES, node(4, unschedulable=True))
     store.put(NODES, node(5))
     affected_ones = {Key(WORKLOADS.plural, NAMESPACE, "w")}
-    assert seen == [set(), set(), affected_ones, set(), affected_ones]
+    assert reconciled == [set(), set(), affected_ones, set(), affected_ones]
     found = store.get(NODES, "", "node-1")
     assert found is not None
     assert "status" not in found
@@ -218,14 +218,14 @@ def test_a_node_is_stored_without_other_fields_and_only_a_cordon_reconciles_work
 
 
 def test_a_new_budget_of_the_user_reconciles_every_workload_of_its_namespace() -> None:
-    store, seen = Store(), []
+    store, reconciled = Store(), []
     store.put(WORKLOADS, workload())
-    store.noticed = lambda sight: seen.append(change_index.of(sight, store).keys)
+    store.noticed = lambda sight: reconciled.append(change_index.of(sight, store).keys)
     theirs = budget("theirs")
     store.put(DISRUPTION_BUDGETS, theirs)
     theirs = {**theirs, "metadata": {**theirs["metadata"], "resourceVersion": "6"}, "status": {"currentHealthy": 1}}
     store.put(DISRUPTION_BUDGETS, theirs)
-    assert seen == [{Key(WORKLOADS.plural, NAMESPACE, "w")}, set()], "what its controller counts means nothing"
+    assert reconciled == [{Key(WORKLOADS.plural, NAMESPACE, "w")}, set()], "what its controller counts means nothing"
 
 
 def test_a_pod_that_starts_for_a_planned_switchover_is_not_scaled_down() -> None:

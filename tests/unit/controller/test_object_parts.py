@@ -158,10 +158,10 @@ class TestPolicies:
     def test_waiting_for_a_pool_that_is_not_shared_is_refused(self) -> None:
         found = policy("hot", "spare")
         found["spec"]["strategies"][1]["waitFor"] = "10s"
-        given = {"hot": hot(), "spare": spare()}
-        assert policy_status.conditions(found, given, {})[0].status == "True"
+        pools = {"hot": hot(), "spare": spare()}
+        assert policy_status.conditions(found, pools, {})[0].status == "True"
         found["spec"]["strategies"][0]["waitFor"] = "1s"
-        (accepted,) = policy_status.conditions(found, given, {})
+        (accepted,) = policy_status.conditions(found, pools, {})
         assert (accepted.status, accepted.reason) == ("False", "PoolNotShared")
         assert_golden("operator", accepted.message, "spec.strategies[0].waitFor", "FallbackPool hot")
         assert policy_reader.problem(found, {}) is None, "the rest of the policy is followed"

@@ -193,9 +193,9 @@ class TestChangeIndex:
         looks: list[Any] = []
         labelled = store.labelled
 
-        def looking(*given: Any) -> Any:
-            looks.append(given)
-            return labelled(*given)
+        def looking(*arguments: Any) -> Any:
+            looks.append(arguments)
+            return labelled(*arguments)
 
         monkeypatch.setattr(store, "labelled", looking)
         found = change_index.of(ObservedChange(PODS, before, claimed), store)

@@ -31,8 +31,8 @@ class Older(MemoryClient):
         if not path.endswith("/status"):
             return {}
         if "observedGeneration" in body["status"]:
-            told = "failed to create typed patch object (fleet/policy): .status.observedGeneration: field not declared in schema"
-            raise ApiError(500, "InternalError", told)
+            message = "failed to create typed patch object (fleet/policy): .status.observedGeneration: field not declared in schema"
+            raise ApiError(500, "InternalError", message)
         self.told.append(body["status"])
         return {**self.item, "status": body["status"]}
 
@@ -50,5 +50,5 @@ async def test_known_status_fields_are_written_and_missing_ones_are_logged_once(
     for _ in range(2):
         await reconciler.reconcile(Key("failurepolicies", item["metadata"]["namespace"], "policy"))
     assert [one["type"] for one in client.told[-1]["conditions"]] == ["Accepted"]
-    (told,) = (record.message for record in caplog.records if "is older than this operator" in record.message)
-    assert "lacks .status.observedGeneration" in told
+    (warning,) = (record.message for record in caplog.records if "is older than this operator" in record.message)
+    assert "lacks .status.observedGeneration" in warning

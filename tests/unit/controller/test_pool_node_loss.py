@@ -64,11 +64,11 @@ class TestLeavingNodes:
         assert "status" not in found
 
     def test_only_a_change_of_schedulability_reconciles_the_owners_of_pods_on_the_node(self) -> None:
-        store, told, pool = Store(), [], spare()
+        store, reconciled, pool = Store(), [], spare()
         store.put(PODS, held(pool, "n")[0])
         store.put(PODS, on("n", standby_pod("w-s", of=workload())))
         store.put(PODS, on("other", standby_pod("x-s", of=workload("x"))))
-        store.noticed = lambda sight: told.append(change_index.of(sight, store).keys)
+        store.noticed = lambda sight: reconciled.append(change_index.of(sight, store).keys)
         store.put(NODES, node("n"))
         store.put(NODES, node("n", version=6) | {"status": {}})
         store.put(NODES, node("n", version=7, unschedulable=True))
@@ -78,15 +78,15 @@ class TestLeavingNodes:
             Key(POOLS.plural, "fleet", "hot"),
             Key(WORKLOADS.plural, "fleet", "w"),
         }
-        assert told == [set(), set(), mine, mine]
+        assert reconciled == [set(), set(), mine, mine]
 
     def test_a_new_node_reconciles_pools_with_pods_that_could_not_move(self) -> None:
-        store, told = Store(), []
+        store, reconciled = Store(), []
         store.put(PODS, held(spare(), "n")[0])
         store.put(NODES, node("n", unschedulable=True))
-        store.noticed = lambda sight: told.append(change_index.of(sight, store).keys)
+        store.noticed = lambda sight: reconciled.append(change_index.of(sight, store).keys)
         store.put(NODES, node("m", version=9))
-        assert told == [{Key(POOLS.plural, "fleet", "spare")}]
+        assert reconciled == [{Key(POOLS.plural, "fleet", "spare")}]
 
     async def test_the_operator_observes_leaving_nodes(self) -> None:
         client: Any = None
@@ -121,12 +121,12 @@ class TestSharedPool:
         assert not created(plan(old), "pods")
 
     def test_replacements_on_the_same_leaving_node_never_exceed_twice_the_size(self) -> None:
-        pool, seen = spare(replicas=2), 2
+        pool, moved = spare(replicas=2), 2
         for _ in range(5):
-            made = plan(leaving(observe(pool, held(pool, *["n"] * seen)), "n"))
-            seen += len(created(made, "pods"))
+            made = plan(leaving(observe(pool, held(pool, *["n"] * moved)), "n"))
+            moved += len(created(made, "pods"))
             assert not deleted(made)
-        assert seen == 4
+        assert moved == 4
 
     def test_a_surplus_replacement_is_deleted_if_the_node_stays(self) -> None:
         pool = spare(replicas=1)
@@ -149,9 +149,9 @@ class TestSharedPool:
     def test_the_moving_condition_exists_only_while_pods_are_moved(self) -> None:
         pool = spare(replicas=2)
         observed = leaving(observe(pool, held(pool, "n", "m"), workloads=[workload()]), "n")
-        told = condition(observed, "Moving")
-        assert (told["status"], told["reason"]) == ("True", "NodeLeaves")
-        assert_golden("operator", told["message"], "1 of 2", "(n)")
+        moving = condition(observed, "Moving")
+        assert (moving["status"], moving["reason"]) == ("True", "NodeLeaves")
+        assert_golden("operator", moving["message"], "1 of 2", "(n)")
         assert "Moving" not in {c["type"] for c in status(observe(pool, held(pool, "n", "m")))["conditions"]}
 
 
@@ -162,8 +162,8 @@ class TestEvictions:
         return applied(plan(observed), "poddisruptionbudgets").get("spare-held")
 
     def moving(self, pool: Object, *, since: float) -> Object:
-        said = {"type": "Moving", "status": "True", "reason": "NodeLeaves", "lastTransitionTime": stamp(since)}
-        return pool | {"status": {"conditions": [said]}}
+        condition = {"type": "Moving", "status": "True", "reason": "NodeLeaves", "lastTransitionTime": stamp(since)}
+        return pool | {"status": {"conditions": [condition]}}
 
     def test_the_budget_protects_all_pods_until_replacements_are_ready(self) -> None:
         pool = spare(replicas=2)

@@ -289,6 +289,6 @@ class TestDemand:
 
 def test_counting_a_thousand_robots_is_fast() -> None:
     fleet = [robot(f"w{n}", *failed(*range(60, 660, 60)), count=50) for n in range(1000)]
-    begun = time.process_time()
+    started_at = time.process_time()
     seen(*fleet)
-    assert time.process_time() - begun < 0.5
+    assert time.process_time() - started_at < 0.5

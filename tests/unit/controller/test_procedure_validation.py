@@ -64,14 +64,14 @@ def test_an_invalid_recovery_procedure_is_reported_in_the_policy() -> None:
     )
 
 
-@pytest.mark.parametrize(("ready", "told"), [(True, "Initialized (1/1)"), (False, "Initialized (0/1)")])
-def test_the_standby_column_counts_ready_standbys(ready: bool, told: str) -> None:
+@pytest.mark.parametrize(("ready", "standby"), [(True, "Initialized (1/1)"), (False, "Initialized (0/1)")])
+def test_the_standby_column_counts_ready_standbys(ready: bool, standby: str) -> None:
     world = World(workload(), policy("warm"), warm())
     world.build()
     driving = source_pod("w-a")
     world.pods = [driving, standby_pod("w-s", of=workload(), pool="warm", ready=ready)]
     world.own(gate(world.workload, active=driving, epoch=1))
-    assert world.status()["standby"] == told
+    assert world.status()["standby"] == standby
     assert world.condition("Protected")["status"] == str(ready)
 
 
@@ -156,8 +156,8 @@ def test_a_changed_time_limit_of_the_initialization_creates_no_new_standby() -> 
 def test_a_new_template_that_waits_for_a_standby_names_the_pool_that_has_none() -> None:
     world, _ = standing({"initialization": BROKEN})
     world.workload["spec"]["template"]["spec"]["containers"][0]["image"] = "app:2"
-    told = world.condition("Reconciled")["message"]
-    assert_golden("operator", told, "FallbackPool warm")
+    message = world.condition("Reconciled")["message"]
+    assert_golden("operator", message, "FallbackPool warm")
 
 
 def in_xml(*leaves: str) -> Object:

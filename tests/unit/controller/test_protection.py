@@ -42,14 +42,14 @@ def test_a_ready_standby_protects_the_workload() -> None:
 
 
 @pytest.mark.parametrize(
-    ("standby_on", "told"), [("one", ", on the same node as the active pod"), ("another", ""), ("", "")]
+    ("standby_on", "details"), [("one", ", on the same node as the active pod"), ("another", ""), ("", "")]
 )
-def test_a_standby_on_the_node_of_the_active_instance_is_reported(standby_on: str, told: str) -> None:
+def test_a_standby_on_the_node_of_the_active_instance_is_reported(standby_on: str, details: str) -> None:
     found = world(policy("hot"), hot(), standby=standby_pod("w-s", of=workload()))
     active, standby = found.pods
     active["spec"], standby["spec"] = {"nodeName": "one"}, {"nodeName": standby_on}
     message = found.condition("Protected")["message"]
-    assert_golden("operator", message, "pool hot", f"w-s (Executing){told}")
+    assert_golden("operator", message, "pool hot", f"w-s (Executing){details}")
 
 
 def test_a_standby_that_is_not_ready_does_not_protect_and_the_next_strategy_is_named() -> None:
@@ -84,14 +84,14 @@ def test_after_a_failover_the_replacement_pod_is_the_standby() -> None:
 def test_a_pause_and_a_spent_budget_remove_protection(type_: str, status: str, reason: str, outlook: str) -> None:
     found = world(policy("hot", "Restart"), hot(), standby=standby_pod("w-s", of=workload()))
     before = found.status()
-    said = {"type": type_, "status": status, "reason": "Whatever", "message": "That is so."}
-    found.workload["status"] = {"conditions": [said]}
+    condition = {"type": type_, "status": status, "reason": "Whatever", "message": "That is so."}
+    found.workload["status"] = {"conditions": [condition]}
     protected = found.condition("Protected")
     assert (protected["status"], protected["reason"]) == ("False", reason)
     assert protected["message"] == f"That is so. {outlook}"
-    told = [c["type"] for c in workload_status.transitions({"status": before}, found.status())]
-    assert "Protected" not in told, "the monitor tells of it"
-    said["status"] = {"True": "False", "False": "True"}[status]
+    types = [c["type"] for c in workload_status.transitions({"status": before}, found.status())]
+    assert "Protected" not in types, "the monitor tells of it"
+    condition["status"] = {"True": "False", "False": "True"}[status]
     assert found.condition("Protected")["status"] == "True"
 
 
@@ -165,12 +165,12 @@ def test_the_status_reports_whether_a_shared_pool_has_a_ready_pod() -> None:
 def test_the_number_of_pods_in_a_shared_pool_does_not_change_the_status() -> None:
     """Or each claim would be a write for each workload of a fleet."""
     pool = spare(replicas=9)
-    said = []
+    statuses = []
     for count in (1, 2, 9):
         found = world(policy("spare", "Restart"), pool)
         found.unclaimed = {"spare": [held_pod(f"spare-{n}", of=pool) for n in range(count)]}
-        said.append(found.status())
-    assert said[0] == said[1] == said[2]
+        statuses.append(found.status())
+    assert statuses[0] == statuses[1] == statuses[2]
 
 
 @pytest.mark.parametrize(("priority", "status"), [(0, "False"), (100, "True")])

@@ -58,24 +58,28 @@ class TestCounts:
         driving, waiting = standby_pod("a-s", of=one), standby_pod("b-s", of=two)
         observed = observe(pool, [driving, waiting], workloads=[one, two, other], active=frozenset({"uid-a-s"}))
         assert numbers(observed) == {"replicas": 1, "desired": 2, "ready": 1, "claimed": 1}
-        told = condition(observed, "Ready")
-        assert (told["status"], told["reason"]) == ("False", "PodsNotReady"), "if a failed now, nobody could take over"
+        ready = condition(observed, "Ready")
+        assert (ready["status"], ready["reason"]) == ("False", "PodsNotReady"), (
+            "if a failed now, nobody could take over"
+        )
 
     async def test_the_own_pod_of_a_workload_counts_as_standby_while_a_standby_is_active(self) -> None:
         # The workload's own controller makes it after a failover. READY 0 would have somebody woken for a pool that has run dry.
         item, pool, other = workload(), hot(per_workload=1), hot("warm", per_workload=1)
         driving = standby_pod("w-s", of=item)
         for own, ready in ((source_pod("w-a"), 1), (source_pod("w-a", ready=False), 0)):
-            seen = await sight(item, pool, other, gate(item, active=driving, epoch=2), driving, own)
-            assert numbers(seen[0]) == {"replicas": 1, "desired": 1, "ready": ready, "claimed": 1}
-            assert condition(seen[0], "Ready")["status"] == str(bool(ready))
-            assert numbers(seen[1]) == {"replicas": 0, "desired": 1, "ready": 0, "claimed": 0}, "it waits for one pool"
+            observed = await sight(item, pool, other, gate(item, active=driving, epoch=2), driving, own)
+            assert numbers(observed[0]) == {"replicas": 1, "desired": 1, "ready": ready, "claimed": 1}
+            assert condition(observed[0], "Ready")["status"] == str(bool(ready))
+            assert numbers(observed[1]) == {"replicas": 0, "desired": 1, "ready": 0, "claimed": 0}, (
+                "it waits for one pool"
+            )
 
     async def test_an_active_own_pod_of_a_workload_is_not_counted_as_a_standby(self) -> None:
         item, pool = workload(), hot(per_workload=1)
         own, waiting = source_pod("w-a"), standby_pod("w-s", of=item)
-        seen = await sight(item, pool, gate(item, active=own, epoch=1), own, waiting)
-        assert numbers(seen[0]) == {"replicas": 1, "desired": 1, "ready": 1, "claimed": 0}
+        observed = await sight(item, pool, gate(item, active=own, epoch=1), own, waiting)
+        assert numbers(observed[0]) == {"replicas": 1, "desired": 1, "ready": 1, "claimed": 0}
 
     def test_a_change_of_an_own_pod_that_is_a_standby_reconciles_the_pool(self) -> None:
         item, store = workload(), Store()
@@ -85,18 +89,18 @@ class TestCounts:
         opened = gate(item, active=driving, epoch=2)
         for resource, found in ((WORKLOADS, item), (PODS, driving), (PODS, own), (NETWORK_POLICIES, opened)):
             store.put(resource, found)
-        seen: list[set[change_index.Key]] = []
-        store.noticed = lambda sight: seen.append(change_index.of(sight, store).keys)
+        reconciled: list[set[change_index.Key]] = []
+        store.noticed = lambda sight: reconciled.append(change_index.of(sight, store).keys)
         store.put(PODS, ready)
-        assert seen == [
+        assert reconciled == [
             {change_index.Key("fallbackpools", "fleet", "hot"), change_index.Key("robotworkloads", "fleet", "w")}
         ]
 
     async def test_a_pod_of_a_referenced_controller_is_not_counted_as_a_standby(self) -> None:
         item, pool = workload(workloadRef={"kind": "Deployment", "name": "nav2"}), hot(per_workload=1)
         driving = standby_pod("w-s", of=item)
-        seen = await sight(item, pool, gate(item, active=driving, epoch=2), driving, source_pod("w-a"))
-        assert numbers(seen[0]) == {"replicas": 0, "desired": 1, "ready": 0, "claimed": 1}
+        observed = await sight(item, pool, gate(item, active=driving, epoch=2), driving, source_pod("w-a"))
+        assert numbers(observed[0]) == {"replicas": 0, "desired": 1, "ready": 0, "claimed": 1}
 
 
 def numbers(observed: pool_pods.Observed) -> Object:
@@ -125,9 +129,9 @@ def test_the_gate_names_the_active_pod() -> None:
 def test_the_message_about_unready_standbys_names_the_workload_with_the_details() -> None:
     item = workload()
     waiting = standby_pod("w-s", of=item, ready=False)
-    told = condition(observe(hot(), [waiting], workloads=[item]), "Ready")
-    assert told["reason"] == "PodsNotReady"
-    assert_golden("operator", told["message"], "0 of 1", "BroughtUp", "RobotWorkload w")
+    ready = condition(observe(hot(), [waiting], workloads=[item]), "Ready")
+    assert ready["reason"] == "PodsNotReady"
+    assert_golden("operator", ready["message"], "0 of 1", "BroughtUp", "RobotWorkload w")
 
 
 class TestQueue:
@@ -159,11 +163,11 @@ class TestQueue:
     def test_the_condition_lists_the_waiting_workloads_in_order(self) -> None:
         waiting = [self.place("b", priority=100), self.place("a")]
         found = observe(spare(replicas=1), workloads=[workload()], waiting=waiting)
-        told = condition(found, "Available")
-        assert (told["status"], told["reason"]) == ("False", "Dry")
+        available = condition(found, "Available")
+        assert (available["status"], available["reason"]) == ("False", "Dry")
         assert_golden(
             "operator",
-            told["message"],
+            available["message"],
             "0 of 1",
             "b (poolPriority 100, since 22:13:18",
             "a (poolPriority 0, since 22:13:18",
@@ -179,8 +183,8 @@ class TestQueue:
     def test_the_condition_reports_the_reserve(self) -> None:
         pool = spare(replicas=2, reserve={"poolPriority": 100})
         pod = held_pod("spare-a", of=pool, template_hash=present(pool))
-        told = condition(observe(pool, [pod]), "Available")["message"]
-        assert_golden("operator", told, "1 of 2", "last 1", "poolPriority 100")
+        message = condition(observe(pool, [pod]), "Available")["message"]
+        assert_golden("operator", message, "1 of 2", "last 1", "poolPriority 100")
 
     def test_a_pool_of_standbys_has_no_queue(self) -> None:
         found = status(observe(hot(), workloads=[workload()]))

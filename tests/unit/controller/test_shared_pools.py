@@ -53,8 +53,8 @@ def test_the_pool_is_reconciled_when_an_expectation_expires() -> None:
 @pytest.mark.parametrize("extra", [0, 1, 5])
 def test_no_pod_is_created_while_enough_or_too_many_are_observed(extra: int) -> None:
     pool = spare(replicas=2)
-    seen = [held_pod(f"spare-{i}", of=pool, template_hash=present(pool)) for i in range(2 + extra)]
-    assert not created(plan(observe(pool, seen)), "pods")
+    pods = [held_pod(f"spare-{i}", of=pool, template_hash=present(pool)) for i in range(2 + extra)]
+    assert not created(plan(observe(pool, pods)), "pods")
 
 
 def test_claimed_pods_do_not_count_and_are_not_deleted() -> None:
@@ -202,9 +202,9 @@ class TestTemplateUpdate:
         pool = spare(replicas=3)
         found = observe(pool, self.pods(pool, old=2, new=1))
         assert status(found)["updated"] == 1
-        told = condition(found, "Updated")
-        assert (told["status"], told["reason"]) == ("False", "RollingOut")
-        assert told["message"].startswith("2 of 3 unclaimed pods have earlier templates")
+        updated = condition(found, "Updated")
+        assert (updated["status"], updated["reason"]) == ("False", "RollingOut")
+        assert updated["message"].startswith("2 of 3 unclaimed pods have earlier templates")
         done = condition(observe(pool, self.pods(pool, new=3)), "Updated")
         assert (done["status"], done["reason"]) == ("True", "Updated")
 
@@ -212,8 +212,8 @@ class TestTemplateUpdate:
         pool = spare(replicas=3, updateStrategy={"type": "OnReplenish"})
         policy = applied(plan(observe(pool)), "networkpolicies")["spare-held"]
         found = observe(pool, self.pods(pool, old=1, new=2), owned={("networkpolicies", "spare-held"): policy})
-        told = condition(found, "Updated")
-        assert (told["status"], told["reason"]) == ("True", "OnReplenish")
+        updated = condition(found, "Updated")
+        assert (updated["status"], updated["reason"]) == ("True", "OnReplenish")
         assert status(found)["ready"] == 3
 
 

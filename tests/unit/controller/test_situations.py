@@ -54,8 +54,8 @@ CARRYING = situational(("carrying", ("hot", "spare")))
 
 
 def saying(situation: str, **more: Any) -> Object:
-    said = {"situation": {"name": situation, "since": "2026-01-01T00:00:00Z"}} if situation else {}
-    return {"health": "Healthy", **said, **more}
+    status = {"situation": {"name": situation, "since": "2026-01-01T00:00:00Z"}} if situation else {}
+    return {"health": "Healthy", **status, **more}
 
 
 def world(asked: Object = CARRYING) -> World:
@@ -230,8 +230,8 @@ def test_a_situation_changes_nothing_while_the_policy_is_invalid() -> None:
     broken = situational(("carrying", ("hot", "spare")))
     broken["spec"]["monitoring"]["yaml"] = {"topik": {}}
     made.others[0] = broken
-    for said in ("carrying", ""):
-        enter(made, said)
+    for situation in ("carrying", ""):
+        enter(made, situation)
         plan = made.plan()
         assert order(plan) == ["hot", "spare", "Restart"]
         assert told(plan).situation == "carrying"

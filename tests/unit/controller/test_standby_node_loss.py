@@ -90,9 +90,9 @@ class TestStandbys:
     async def test_the_pool_reports_an_own_pod_on_a_leaving_node_and_is_reconciled_for_it(self) -> None:
         made, store = self.driven(per_workload=1), Store()
         driving, own, pool = made.pods[0], self.own(made, "m"), made.others[1]
-        told = [(WORKLOADS, made.workload), (NETWORK_POLICIES, made.owned["networkpolicies", "w-gate"])]
+        objects = [(WORKLOADS, made.workload), (NETWORK_POLICIES, made.owned["networkpolicies", "w-gate"])]
         for resource, item in [
-            *told,
+            *objects,
             (POOLS, pool),
             (PODS, driving),
             (PODS, own),
@@ -100,10 +100,10 @@ class TestStandbys:
             (NODES, node("o")),
         ]:
             store.put(resource, item)
-        seen: list[set[Key]] = []
-        store.noticed = lambda sight: seen.append(change_index.of(sight, store).keys)
+        reconciled: list[set[Key]] = []
+        store.noticed = lambda sight: reconciled.append(change_index.of(sight, store).keys)
         store.put(NODES, node("m", version=6, unschedulable=True))
-        assert seen == [{Key(POOLS.plural, "fleet", "hot"), Key(WORKLOADS.plural, "fleet", "w")}]
+        assert reconciled == [{Key(POOLS.plural, "fleet", "hot"), Key(WORKLOADS.plural, "fleet", "w")}]
         client: Any = None
         observed = await Observer(client, store, Expectations()).pool(pool)
         assert_golden("operator", condition(observed, "Moving")["message"], "1 of 1")
@@ -168,16 +168,16 @@ class TestSpreading:
 
     @pytest.mark.parametrize(("when", "ours"), [("ScheduleAnyway", 0), ("DoNotSchedule", 1)])
     def test_a_spread_constraint_of_the_user_is_kept_and_its_duplicate_is_omitted(self, when: str, ours: int) -> None:
-        given = {"maxSkew": 3, "topologyKey": "kubernetes.io/hostname", "whenUnsatisfiable": when}
+        constraint = {"maxSkew": 3, "topologyKey": "kubernetes.io/hostname", "whenUnsatisfiable": when}
         recipe = instance_pod.Recipe(workload="w", namespace="robots", images=IMAGES, secret="w-agent")
         template = {
             "spec": {
                 "containers": [{"name": "app", "image": "app", "command": ["app"]}],
-                "topologySpreadConstraints": [given],
+                "topologySpreadConstraints": [constraint],
             }
         }
         found = instance_pod.build(template, recipe)["spec"]["topologySpreadConstraints"]
-        assert found[0] == given
+        assert found[0] == constraint
         assert [one["labelSelector"]["matchLabels"] for one in found[1:]] == [{names.WORKLOAD: "w"}] * ours
 
     def test_placement_rules_of_the_template_replace_those_of_the_operator(self) -> None:

@@ -168,10 +168,10 @@ class TestStandbys:
 
     def test_no_standby_is_deleted_while_the_gate_shows_a_recent_recovery(self) -> None:
         world = World(workload(), policy("hot"), hot())
-        told = gate(world.workload, active=source_pod("w-a"), epoch=1)
+        observed_gate = gate(world.workload, active=source_pod("w-a"), epoch=1)
         progress = Progress.begin("crashed", last_healthy=world.now - 1, detected=world.now - 0.5)
-        told["metadata"]["annotations"][names.RECOVERY] = progress.model_dump_json()
-        world.own(told)
+        observed_gate["metadata"]["annotations"][names.RECOVERY] = progress.model_dump_json()
+        world.own(observed_gate)
         old = standby_pod("w-old", of=world.workload, template_hash="old")
         new = standby_pod("w-new", of=world.workload, template_hash=world.template_hash)
         world.pods = [old, new]
@@ -191,8 +191,8 @@ class TestStandbys:
     def test_a_standby_that_a_planned_switchover_may_use_is_not_deleted(
         self, which: str, phase: str, goes: bool
     ) -> None:
-        said = {"kind": "Failover", "phase": "Done" if phase == "asked for" else phase, "handled": "failover 1"}
-        world = World(workload(status={"switchover": said}), policy("hot"), hot())
+        status = {"kind": "Failover", "phase": "Done" if phase == "asked for" else phase, "handled": "failover 1"}
+        world = World(workload(status={"switchover": status}), policy("hot"), hot())
         asked = "failover 2" if phase == "asked for" else "failover 1"
         world.workload["metadata"]["annotations"] = {names.SWITCHOVER: asked}
         world.build()

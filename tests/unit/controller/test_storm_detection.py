@@ -88,8 +88,8 @@ def test_a_failure_known_only_from_the_gate_counts() -> None:
 
 
 def test_paused_workloads_do_not_count() -> None:
-    said = [{"type": "Paused", "status": "True", "reason": "Maintenance"}]
-    paused = [robot(i, "Failed", conditions=said) for i in range(10, 14)]
+    conditions = [{"type": "Paused", "status": "True", "reason": "Maintenance"}]
+    paused = [robot(i, "Failed", conditions=conditions) for i in range(10, 14)]
     assert judged(*paused, robot(0))[0].status == "False"
     assert judged(*paused, *fleet(3, 4))[0].status == "True"
 
@@ -104,16 +104,16 @@ def test_a_storm_causes_events_at_its_begin_and_end() -> None:
     policy = world.policy("Restart")
     calm, storm = judged(*fleet(0, 6))[0], judged(*fleet(6, 6))[0]
 
-    def status(said: Condition) -> Object:
-        return policy_status.status(policy, pools={}, config_maps={}, users=[], storm=said)
+    def status(condition: Condition) -> Object:
+        return policy_status.status(policy, pools={}, config_maps={}, users=[], storm=condition)
 
-    def told(live: Object, desired: Object) -> list[tuple[str, str]]:
+    def reasons(live: Object, desired: Object) -> list[tuple[str, str]]:
         found = workload_status.transitions(live, desired)
         return [(c["type"], c["status"]) for c in found if c["type"] == "Storm"]
 
-    assert told({}, status(calm)) == []
-    assert told({"status": status(calm)}, status(storm)) == [("Storm", "True")]
-    assert told({"status": status(storm)}, status(calm)) == [("Storm", "False")]
+    assert reasons({}, status(calm)) == []
+    assert reasons({"status": status(calm)}, status(storm)) == [("Storm", "True")]
+    assert reasons({"status": status(storm)}, status(calm)) == [("Storm", "False")]
 
 
 def test_a_change_of_health_reconciles_only_policies_with_a_storm_guard() -> None:

@@ -83,8 +83,8 @@ def test_a_variable_without_a_value_is_an_empty_string() -> None:
     variables = [{"name": "A", "value": None}, {"name": "B"}, {"name": "C", "value": "c", "valueFrom": None}]
     world = World(workload(template=containing(env=variables)), policy("spare"), spare())
     world.build()
-    told = world.observed().written_settings
-    assert told is not None
-    found = told.container_environment["app"]
+    settings = world.observed().written_settings
+    assert settings is not None
+    found = settings.container_environment["app"]
     assert {name: found.get(name) for name in "ABC"} == {"A": "", "B": "", "C": "c"}
     assert ("configmaps", names.settings("w")) in world.owned

@@ -65,7 +65,7 @@ class Heard(Recorder):
         self.warnings.append((reason, message))
 
 
-def reconciling_with(client: Guarded, heard: Heard) -> tuple[Reconciler, Store]:
+def reconciling_with(client: Guarded, notices: Heard) -> tuple[Reconciler, Store]:
     """A reconciler that knows what is stored, and where it knows it from."""
     store, expectations = Store(), Expectations()
     for resource, found in (
@@ -75,7 +75,7 @@ def reconciling_with(client: Guarded, heard: Heard) -> tuple[Reconciler, Store]:
         store.put(resource, found)
     reconciler = Reconciler(
         client, store, Observer(client, store, expectations), Executor(client, store, expectations, may_write=lambda: True),
-        heard, world.IMAGES, Rollouts(store),
+        notices, world.IMAGES, Rollouts(store),
     )  # fmt: skip
     return reconciler, store
 
@@ -84,10 +84,10 @@ def reconciling_with(client: Guarded, heard: Heard) -> tuple[Reconciler, Store]:
 @pytest.mark.parametrize("refused", ["all", "dry run"])
 async def test_an_unanswered_webhook_is_reported_once_and_the_request_is_retried(plural: str, refused: str) -> None:
     item, pool = world.workload(), world.spare()
-    client, heard = Guarded(item, pool), Heard()
+    client, notices = Guarded(item, pool), Heard()
     if refused == "dry run":
         client.failing = lambda method, _: client.refuse() if method == "POST" else None
-    reconciler, _ = reconciling_with(client, heard)
+    reconciler, _ = reconciling_with(client, notices)
     key = Key(plural, item["metadata"]["namespace"], "w" if plural == "robotworkloads" else "spare")
     for _ in range(3):
         with pytest.raises(ApiError, match="failed calling webhook"):  # so it is tried again, later each time
@@ -97,7 +97,7 @@ async def test_an_unanswered_webhook_is_reported_once_and_the_request_is_retried
     assert (conditions["Reconciled"]["status"], conditions["Reconciled"]["reason"]) == ("False", "WebhookUnavailable")
     assert f'"{WEBHOOK}" does not answer' in conditions["Reconciled"]["message"]
     assert conditions["Accepted"]["status"] == "True", "that says nothing of its spec"
-    assert [reason for reason, _ in heard.warnings].count("WebhookUnavailable") == 1
+    assert [reason for reason, _ in notices.warnings].count("WebhookUnavailable") == 1
 
 
 async def test_claims_during_a_webhook_failure_update_the_status_once_a_second(monkeypatch: pytest.MonkeyPatch) -> None:

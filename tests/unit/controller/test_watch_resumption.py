@@ -53,19 +53,19 @@ class Scripted(Client):
 
 async def watched(client: Scripted, *namespaces: str) -> list[tuple[str, bool]]:
     """The pods that were seen, and whether they are gone, until the scripts are over."""
-    seen: list[tuple[str, bool]] = []
+    events: list[tuple[str, bool]] = []
 
     def see(resource: Resource, item: Object, gone: bool) -> None:
         if item["metadata"]["name"] == SURPRISING:
             raise KeyError("spec")
-        seen.append((item["metadata"]["name"], gone))
+        events.append((item["metadata"]["name"], gone))
 
     task = asyncio.create_task(watches.watch(client, see, namespaces))
     async with asyncio.timeout(5):
         await client.over.wait()
     task.cancel()
     await asyncio.gather(task, return_exceptions=True)
-    return seen
+    return events
 
 
 async def test_a_watch_resumes_at_the_version_where_the_last_one_ended() -> None:

@@ -58,7 +58,7 @@ async def test_the_shortest_of_several_delays_counts() -> None:
 async def test_two_workers_never_process_the_same_key() -> None:
     queue: Queue[int] = Queue()
     busy: set[int] = set()
-    seen: list[int] = []
+    keys: list[int] = []
 
     async def work() -> None:
         while True:
@@ -66,7 +66,7 @@ async def test_two_workers_never_process_the_same_key() -> None:
             assert key not in busy
             busy.add(key)
             await asyncio.sleep(0.001)
-            seen.append(key)
+            keys.append(key)
             busy.discard(key)
             queue.done(key)
 
@@ -77,6 +77,6 @@ async def test_two_workers_never_process_the_same_key() -> None:
         await asyncio.sleep(0.001)
     await asyncio.sleep(0.05)
     assert not any(worker.done() for worker in workers)
-    assert set(seen) == set(range(5))
+    assert set(keys) == set(range(5))
     for worker in workers:
         worker.cancel()

@@ -106,8 +106,8 @@ def test_the_state_of_a_workload_is_reported_with_its_problems() -> None:
         {"type": "Recovering", "status": "False", "message": "nothing to recover"},
     ]
     workload = {"status": {"health": "Healthy", "standby": "Executing (0/1)", "conditions": conditions}}
-    said = "health Healthy, strategy None, standby Executing (0/1), Protected: no standby is ready"
-    assert _state(workload) == said
+    summary = "health Healthy, strategy None, standby Executing (0/1), Protected: no standby is ready"
+    assert _state(workload) == summary
 
 
 def test_unknown_strategies_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
@@ -117,8 +117,8 @@ def test_unknown_strategies_are_refused(capsys: pytest.CaptureFixture[str]) -> N
 
 
 def test_the_script_documents_its_options() -> None:
-    said = subprocess.run(
+    help_page = subprocess.run(
         [REPOSITORY / "scripts" / "demo", "--help"], capture_output=True, text=True, check=True
     ).stdout
     for word in ("--keep", "--provider", "--only", "out/demo.png"):
-        assert word in said
+        assert word in help_page

@@ -47,8 +47,11 @@ def visible(svg: str, at: float) -> list[str]:
     """The texts that a browser would show so many seconds after the beginning, by its style sheet."""
     length = float(re.findall(r"animation:([\d.]+)s step-end infinite", svg)[0])
     steps = {
-        name: [(float(moment) / 100 * length, how) for moment, how in re.findall(r"([\d.]+)%\{visibility:(\w+)}", told)]
-        for name, told in re.findall(r"@keyframes (\w+)\{(.*)}$", svg, re.MULTILINE)
+        name: [
+            (float(moment) / 100 * length, how)
+            for moment, how in re.findall(r"([\d.]+)%\{visibility:(\w+)}", keyframes)
+        ]
+        for name, keyframes in re.findall(r"@keyframes (\w+)\{(.*)}$", svg, re.MULTILINE)
     }
     found = []
     for group in ElementTree.fromstring(svg).iter(f"{NAMESPACE}g"):
@@ -150,11 +153,11 @@ def test_the_picture_in_the_repository_is_rendered_from_the_recording() -> None:
 
 def test_each_command_is_a_mark_and_each_takeover_a_line() -> None:
     marks = Marks(columns=12)
-    told = [marks.take(command(n / 20, "robot-1-drive-aaaaa")) for n in range(5)]
-    told.append(marks.take(command(0.712, "robot-1-drive-bbbbb")))
+    lines = [marks.take(command(n / 20, "robot-1-drive-aaaaa")) for n in range(5)]
+    lines.append(marks.take(command(0.712, "robot-1-drive-bbbbb")))
     assert_golden(
         "demo",
-        shown(*(text.replace("\n", "\r\n") for text in told), columns=60, rows=4),
+        shown(*(text.replace("\n", "\r\n") for text in lines), columns=60, rows=4),
         "…-bbbbb drives",
         "512 ms",
         "…-aaaaa",

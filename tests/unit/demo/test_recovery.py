@@ -81,8 +81,8 @@ def test_a_standby_that_is_ready_again_after_the_switch_does_not_move_it() -> No
 
 def test_a_good_recovery_has_no_problems() -> None:
     recovered = Recovered.read(entry())
-    seen = recovered.handover(log((OLD, -2.0, 0.0), (NEW, 0.54, 2.0)))
-    assert recovered.problems(seen, strategy="Fallback/Executing") == []
+    handover = recovered.handover(log((OLD, -2.0, 0.0), (NEW, 0.54, 2.0)))
+    assert recovered.problems(handover, strategy="Fallback/Executing") == []
 
 
 @pytest.mark.parametrize(
@@ -112,10 +112,10 @@ def test_problems_are_reported(changes: dict[str, Any], spans: list[tuple[str, f
 
 def test_an_overlap_within_the_enforcement_time_is_reported_and_allowed() -> None:
     recovered = Recovered.read(entry())
-    seen = recovered.handover(log((OLD, -2.0, 0.55), (NEW, 0.54, 2.0)))
-    assert seen.overlap == pytest.approx(0.01, abs=1e-5)
-    assert recovered.problems(seen) == []
-    assert_golden("demo", render(recovered, seen), "1 over 10 ms", "…-7k2xq", "…-x8v2m")
+    handover = recovered.handover(log((OLD, -2.0, 0.55), (NEW, 0.54, 2.0)))
+    assert handover.overlap == pytest.approx(0.01, abs=1e-5)
+    assert recovered.problems(handover) == []
+    assert_golden("demo", render(recovered, handover), "1 over 10 ms", "…-7k2xq", "…-x8v2m")
 
 
 def test_the_timeline_shows_parts_moments_and_the_robot() -> None:
@@ -162,5 +162,5 @@ def test_a_picture_without_commands_is_drawn(tmp_path: Path) -> None:
 
 def test_handovers_can_be_written_as_json() -> None:
     recovered = Recovered.read(entry())
-    seen = recovered.handover(log((OLD, -2.0, 0.0), (NEW, 0.54, 2.0))).to_json()
-    assert json.loads(json.dumps(seen))["gapSeconds"] == pytest.approx(0.54, abs=1e-5)
+    handover = recovered.handover(log((OLD, -2.0, 0.0), (NEW, 0.54, 2.0))).to_json()
+    assert json.loads(json.dumps(handover))["gapSeconds"] == pytest.approx(0.54, abs=1e-5)

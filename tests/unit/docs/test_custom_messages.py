@@ -89,9 +89,9 @@ def test_the_types_of_the_user_exist_after_their_wheel_is_installed(workspace: P
     (wheel,) = (workspace / "wheels").glob("*.whl")
     assert wheel.name.startswith("ros_jazzy_my_msgs-1.0.0-")
     (check,) = re.findall(r"python IMAGE -c '(.*)'", PAGE)
-    said = subprocess.run(
+    output = subprocess.run(
         [str(environment / "bin" / "python"), "-c", check],
         env={"PATH": "/usr/bin:/bin", "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp", "ROS_DOMAIN_ID": "97", "HOME": str(workspace)},
         capture_output=True, text=True, timeout=120, check=False,
     )  # fmt: skip
-    assert said.stdout.strip() == "<class 'my_msgs.action._dock.Dock'>", said.stderr
+    assert output.stdout.strip() == "<class 'my_msgs.action._dock.Dock'>", output.stderr

@@ -82,8 +82,8 @@ def test_shown_manifests_are_in_the_example_or_load(page: str, of: str, part: An
 @pytest.mark.parametrize("page", EXAMPLES)
 def test_the_table_lists_every_policy_of_the_example(page: str) -> None:
     text = (REPOSITORY / "docs" / "how-to" / page).read_text()
-    told = set(re.findall(r"^\| `\w+` \| `([\w-]+\.yaml)` \|", text, re.MULTILINE))
-    assert told == {file.name for file in EXAMPLES[page].glob("*.yaml")} - {"workload.yaml"}
+    values = set(re.findall(r"^\| `\w+` \| `([\w-]+\.yaml)` \|", text, re.MULTILINE))
+    assert values == {file.name for file in EXAMPLES[page].glob("*.yaml")} - {"workload.yaml"}
 
 
 @pytest.mark.parametrize("page", EXAMPLES)
@@ -111,8 +111,8 @@ def test_the_documented_times_equal_those_of_the_example() -> None:
         for name, times in zip(head.split("|")[1:], row.split("|")[1:], strict=True)
     }
     text = (REPOSITORY / "docs" / "how-to" / "nav2.md").read_text()
-    told = re.findall(r"^\| `\w+` \| `\w+(?:-\w+)*\.yaml` \|.*\| ([\d.]+) s \|$", text, re.MULTILINE)
-    assert told == [measured[name] for name in ("full navigation", "localization running", "restart")]
+    values = re.findall(r"^\| `\w+` \| `\w+(?:-\w+)*\.yaml` \|.*\| ([\d.]+) s \|$", text, re.MULTILINE)
+    assert values == [measured[name] for name in ("full navigation", "localization running", "restart")]
 
 
 def test_the_comparison_recognizes_parts_of_a_manifest() -> None:

@@ -75,15 +75,17 @@ def looks(value: Any) -> Any:
 def test_a_documented_default_equals_an_omitted_value(tag: str, port: str, default: str) -> None:
     node = NODES[tag]
     example = yaml.safe_load(LEAVES[node.key].example)
-    given = {p: str(example[key]) for p, where in node.ports.items() if (key := where.partition(".")[2]) in example}
-    assert port not in given
+    example_ports = {
+        p: str(example[key]) for p, where in node.ports.items() if (key := where.partition(".")[2]) in example
+    }
+    assert port not in example_ports
 
     def load(values: dict[str, str]) -> Any:
         written = " ".join(f'{name}="{value}"' for name, value in values.items())
         tree = load_xml(f'<root BTCPP_format="4"><BehaviorTree ID="Healthy"><{tag} {written}/></BehaviorTree></root>')
         return looks(tree.root), tree.topics
 
-    assert load(given) == load(given | {port: default})
+    assert load(example_ports) == load(example_ports | {port: default})
 
 
 # -- metrics ------------------------------------------------------------------------------------------------------------

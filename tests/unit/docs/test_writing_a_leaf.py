@@ -100,37 +100,37 @@ OSC = f"import osc.understudy\n\nscenario healthy:\n    do parallel:\n        {i
 
 def test_the_documented_test_passes(site: Path, tmp_path: Path) -> None:
     (tmp_path / "test_leaves.py").write_text(TEST)
-    status, said = run(site, "pytest", "-q", "-p", "no:cacheprovider", "test_leaves.py", cwd=tmp_path)
-    assert (status, "1 passed" in said) == (0, True), said
+    status, output = run(site, "pytest", "-q", "-p", "no:cacheprovider", "test_leaves.py", cwd=tmp_path)
+    assert (status, "1 passed" in output) == (0, True), output
 
 
 @pytest.mark.parametrize("text", [POLICY, policy(xml=XML), policy(osc=OSC)], ids=["yaml", "xml", "osc"])
 def test_a_policy_with_the_leaf_is_checked(site: Path, tmp_path: Path, text: str) -> None:
     (tmp_path / "policy.yaml").write_text(text)
-    status, said = run(site, "understudy", "check", "--strict", "policy.yaml", cwd=tmp_path)
-    assert status == 0, said
+    status, output = run(site, "understudy", "check", "--strict", "policy.yaml", cwd=tmp_path)
+    assert status == 0, output
     wrong = text.replace("1s", "1 parsec").replace("field", "fjeld")
     (tmp_path / "policy.yaml").write_text(wrong)
-    status, said = run(site, "understudy", "check", "policy.yaml", cwd=tmp_path)
+    status, output = run(site, "understudy", "check", "policy.yaml", cwd=tmp_path)
     assert status == 1
-    assert "parsec" in said
+    assert "parsec" in output
 
 
 def test_without_the_package_the_leaf_is_unknown(tmp_path: Path) -> None:
     (tmp_path / "policy.yaml").write_text(POLICY)
-    status, said = run(tmp_path, "understudy", "check", "policy.yaml", cwd=tmp_path)
+    status, output = run(tmp_path, "understudy", "check", "policy.yaml", cwd=tmp_path)
     assert status == 1
-    assert "unknown key 'acme_lively'" in said
+    assert "unknown key 'acme_lively'" in output
 
 
 def test_repeated_scans_are_found_in_a_bag(site: Path, tmp_path: Path) -> None:
     (tmp_path / "policy.yaml").write_text(POLICY)
     scans = [one._replace(fields={"ranges": [min(one.at, 5.0), 2.0]}) for one in every("/scan", SCAN, 0, 8, 10)]
     write(tmp_path / "recorded", scans)
-    status, said = run(site, "understudy", "simulate", "policy.yaml", "--bag", "recorded", cwd=tmp_path)
-    assert status == 1, said
-    assert_golden("simulate", said, "acme_lively of /scan", "1 s", "ranges")
-    assert "1x, 1.8 s, first at 6.100 s  Failed" in said
+    status, output = run(site, "understudy", "simulate", "policy.yaml", "--bag", "recorded", cwd=tmp_path)
+    assert status == 1, output
+    assert_golden("simulate", output, "acme_lively of /scan", "1 s", "ranges")
+    assert "1x, 1.8 s, first at 6.100 s  Failed" in output
 
 
 def test_a_package_that_cannot_be_imported_is_reported_at_its_leaf(tmp_path: Path) -> None:
@@ -140,25 +140,25 @@ def test_a_package_that_cannot_be_imported_is_reported_at_its_leaf(tmp_path: Pat
         "ModuleNotFoundError: No module named 'acme_drivers'"
     )
     (tmp_path / "policy.yaml").write_text(POLICY)
-    status, said = run(site, "understudy", "check", "policy.yaml", cwd=tmp_path)
-    assert (status, said.count(why)) == (1, 2), "once as it is loaded, once at its place in the file"
+    status, output = run(site, "understudy", "check", "policy.yaml", cwd=tmp_path)
+    assert (status, output.count(why)) == (1, 2), "once as it is loaded, once at its place in the file"
     assert (
         f"policy.yaml:9:11: error: FailurePolicy navigation: spec.monitoring.yaml.parallel[1].acme_lively: {why}"
-        in said
+        in output
     )
     for text in (policy(xml=XML), policy(osc=OSC)):
         (tmp_path / "policy.yaml").write_text(text)
         assert run(site, "understudy", "check", "policy.yaml", cwd=tmp_path)[1].count(why) == 2
     (tmp_path / "policy.yaml").write_text(policy(yaml={"topic": {"name": "/scan", "gap": "1s"}}))
-    status, said = run(site, "understudy", "check", "policy.yaml", cwd=tmp_path)
-    assert (status, said.count(why)) == (0, 1), "trees that don't name it are as good as ever"
+    status, output = run(site, "understudy", "check", "policy.yaml", cwd=tmp_path)
+    assert (status, output.count(why)) == (0, 1), "trees that don't name it are as good as ever"
 
 
 def test_the_documented_chart_values_exist() -> None:
     values = yaml.safe_load((REPOSITORY / "charts" / "understudy" / "values.yaml").read_text())
-    given = re.findall(r"--set (\S+)=", PAGE)
-    assert len(given) == 4
-    for key in given:
+    documented = re.findall(r"--set (\S+)=", PAGE)
+    assert len(documented) == 4
+    for key in documented:
         found = values
         for part in key.split("."):
             found = found[part]

@@ -17,34 +17,34 @@ COURSE = st.lists(st.tuples(st.integers(1, 40), TOLD), min_size=1, max_size=60)
 def run(course: list[tuple[int, TreeState]], *, debounce: int, clear_after: int) -> list[tuple[int, TreeState, bool]]:
     """When (in tenths of a second) the tree said what, and what the level was then."""
     level, now, found = Level(), 0, []
-    for step, told in course:
+    for step, state in course:
         now += step
-        found.append((now, told, level.note(told, now, debounce=debounce, clear_after=clear_after)))
+        found.append((now, state, level.note(state, now, debounce=debounce, clear_after=clear_after)))
     return found
 
 
-def lasting(seen: list[tuple[int, TreeState, bool]], told: TreeState) -> int:
+def lasting(course: list[tuple[int, TreeState, bool]], last_state: TreeState) -> int:
     """For how long the tree has said the same at the end, as far as was looked; -1 where it says something else."""
-    begun = None
-    for now, said, _ in reversed(seen):
-        if said != told:
+    since = None
+    for now, state, _ in reversed(course):
+        if state != last_state:
             break
-        begun = now
-    return -1 if begun is None else seen[-1][0] - begun
+        since = now
+    return -1 if since is None else course[-1][0] - since
 
 
 @given(COURSE, st.integers(0, 50), st.integers(0, 50))
 def test_degradation_begins_after_the_debounce_and_ends_after_the_clear_time(
     course: list[tuple[int, TreeState]], debounce: int, clear_after: int
 ) -> None:
-    seen = run(course, debounce=debounce, clear_after=clear_after)
+    states = run(course, debounce=debounce, clear_after=clear_after)
     before = False
-    for end in range(1, len(seen) + 1):
-        now = seen[end - 1][2]
+    for end in range(1, len(states) + 1):
+        now = states[end - 1][2]
         if before:
-            assert now is not (0 <= clear_after <= lasting(seen[:end], "Healthy"))
+            assert now is not (0 <= clear_after <= lasting(states[:end], "Healthy"))
         else:
-            assert now is (debounce <= lasting(seen[:end], "Failed"))
+            assert now is (debounce <= lasting(states[:end], "Failed"))
         before = now
 
 

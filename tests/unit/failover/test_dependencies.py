@@ -47,9 +47,9 @@ def committed(id: str = "r2", *, onset: float = NOW - 0.5, result: str = "Runnin
 
 class TestUpstreamState:
     def test_the_gate_shows_a_failure_before_the_status(self) -> None:
-        seen = UpstreamState.of(RobotWorkloadStatus(health="Healthy", recoveries=[recovered()]), committed())
-        assert seen.failing
-        assert seen.failing_since == pytest.approx(NOW - 0.5)
+        observed = UpstreamState.of(RobotWorkloadStatus(health="Healthy", recoveries=[recovered()]), committed())
+        assert observed.failing
+        assert observed.failing_since == pytest.approx(NOW - 0.5)
 
     def test_a_recovery_in_the_status_has_ended_whatever_the_gate_records(self) -> None:
         status = RobotWorkloadStatus(health="Healthy", recoveries=[recovered("r2")])
@@ -63,9 +63,9 @@ class TestUpstreamState:
         assert not UpstreamState.of(RobotWorkloadStatus(health="Healthy"), committed(result="Failed")).failing
 
     def test_the_status_reports_when_a_failure_began_that_is_not_acted_on(self) -> None:
-        seen = UpstreamState.of(RobotWorkloadStatus(health="Failed", failing_since=rfc3339(NOW - 1)), None)
-        assert seen.failing
-        assert seen.failing_since == pytest.approx(NOW - 1)
+        observed = UpstreamState.of(RobotWorkloadStatus(health="Failed", failing_since=rfc3339(NOW - 1)), None)
+        assert observed.failing
+        assert observed.failing_since == pytest.approx(NOW - 1)
 
     @pytest.mark.parametrize(("health", "failing"), [("Degraded", False), ("Unknown", False), ("Starting", True)])
     def test_a_degraded_dependency_is_usable_and_a_starting_one_is_not(self, health: Any, failing: bool) -> None:
@@ -170,11 +170,11 @@ def healthy(id: str = "", end: float = NOW - 2, **followed: str) -> UpstreamStat
 
 
 def due_now(
-    followed: dict[str, str], now: float = NOW, *dependencies: Dependency, **seen: UpstreamState
+    followed: dict[str, str], now: float = NOW, *dependencies: Dependency, **observed: UpstreamState
 ) -> list[str] | None:
-    outages = {name: found for name, one in seen.items() if (found := outage(None, one, now)) is not None}
+    outages = {name: found for name, one in observed.items() if (found := outage(None, one, now)) is not None}
     wanted = dependencies or (needs("localization"), needs("planning"))
-    found = due(wanted, CHAIN, seen, outages, followed=followed, now=now)
+    found = due(wanted, CHAIN, observed, outages, followed=followed, now=now)
     return None if found is None else [f"{one.name}/{one.recovery}" for one in found.follows]
 
 
@@ -185,28 +185,28 @@ class TestDueReactions:
         assert due_now(self.known, localization=healthy("r0"), planning=healthy("p0", localization="r0")) is None
 
     def test_a_reaction_to_a_recovery_is_due_once(self) -> None:
-        seen = {"localization": healthy("r1"), "planning": healthy("p0", localization="r1")}
-        assert due_now(self.known, **seen) == ["localization/r1"]
-        assert due_now(self.known | {"localization": "r1"}, **seen) is None
+        observed = {"localization": healthy("r1"), "planning": healthy("p0", localization="r1")}
+        assert due_now(self.known, **observed) == ["localization/r1"]
+        assert due_now(self.known | {"localization": "r1"}, **observed) is None
 
     def test_a_reaction_waits_for_the_reactions_of_earlier_dependencies(self) -> None:
-        seen = {"localization": healthy("r1"), "planning": healthy("p0", localization="r0")}
-        assert due_now(self.known, **seen) is None
+        observed = {"localization": healthy("r1"), "planning": healthy("p0", localization="r0")}
+        assert due_now(self.known, **observed) is None
 
     def test_one_reaction_covers_all_earlier_recoveries(self) -> None:
-        seen = {"localization": healthy("r1"), "planning": healthy("p1", localization="r1")}
-        assert due_now(self.known, **seen) == ["localization/r1", "planning/p1"]
+        observed = {"localization": healthy("r1"), "planning": healthy("p1", localization="r1")}
+        assert due_now(self.known, **observed) == ["localization/r1", "planning/p1"]
 
     def test_a_reaction_waits_until_earlier_dependencies_are_healthy(self) -> None:
-        seen = {
+        observed = {
             "localization": healthy("r1"),
             "planning": UpstreamState("Recovering", NOW - 1, followed={"localization": "r1"}),
         }
-        assert due_now(self.known, **seen) is None
+        assert due_now(self.known, **observed) is None
 
     def test_the_wait_for_a_dependency_has_a_time_limit(self) -> None:
-        seen = {"localization": healthy("r1", NOW - 121), "planning": healthy("p0", localization="r0")}
-        assert due_now(self.known, **seen) == ["localization/r1"]
+        observed = {"localization": healthy("r1", NOW - 121), "planning": healthy("p0", localization="r0")}
+        assert due_now(self.known, **observed) == ["localization/r1"]
 
     def test_a_reaction_is_not_due_while_the_recovered_dependency_fails_again(self) -> None:
         failing = replace(healthy("r1", NOW - 500), health="Failed")
@@ -216,9 +216,9 @@ class TestDueReactions:
         assert due_now({}, localization=healthy("r1"), planning=healthy()) is None
 
     def test_a_reaction_is_due_if_the_dependency_became_healthy_after_a_failed_recovery(self) -> None:
-        seen = UpstreamState("Healthy", last=last("r1", NOW - 9, None))
+        observed = UpstreamState("Healthy", last=last("r1", NOW - 9, None))
         outages = {"localization": Outage(NOW - 9, NOW - 1)}
-        found = due([needs()], CHAIN[:1], {"localization": seen}, outages, followed={"localization": "r0"}, now=NOW)
+        found = due([needs()], CHAIN[:1], {"localization": observed}, outages, followed={"localization": "r0"}, now=NOW)
         assert found == DueReaction([DependencyRecovery(name="localization", recovery="r1")], NOW - 1)
 
 
@@ -238,26 +238,26 @@ def test_every_dependency_graph_is_recovered_in_parallel_waves_and_once_per_work
         names = {one for before in graph[name] for one in (before, *(u.name for u in upstream(before)))}
         return [Upstream(name=one, depends_on=graph[one]) for one in graph if one in names]
 
-    seen = {name: healthy(f"{name}0", NOW - 100, **{one: f"{one}0" for one in graph[name]}) for name in graph}
-    seen["a"] = healthy("a1", NOW)
+    observed = {name: healthy(f"{name}0", NOW - 100, **{one: f"{one}0" for one in graph[name]}) for name in graph}
+    observed["a"] = healthy("a1", NOW)
     waves: list[list[str]] = []
     for step in range(1, 9):
         now = NOW + step
         wave = {}
         for name in graph:
-            above = {one.name: seen[one.name] for one in upstream(name)}
+            above = {one.name: observed[one.name] for one in upstream(name)}
             found = due(
                 [needs(one) for one in graph[name]],
                 upstream(name),
                 above,
                 {},
-                followed=seen[name].followed,
+                followed=observed[name].followed,
                 now=now,
             )
             if found is not None:
-                followed = {**seen[name].followed, **{one.name: one.recovery for one in found.follows}}
+                followed = {**observed[name].followed, **{one.name: one.recovery for one in found.follows}}
                 wave[name] = healthy(f"{name}1", now, **followed)
-        seen |= wave
+        observed |= wave
         waves += [sorted(wave)] if wave else []
     assert waves == expected
 

@@ -74,12 +74,12 @@ async def test_a_crash_looping_standby_is_abandoned_early() -> None:
     store.broken.add("w-2")
     world = World(store)
     asyncio.get_running_loop().call_later(0.2, crash_looping, "w-2", store)
-    begun = world.clock()
+    started_at = world.clock()
     strategies = [Choice(UninitializedFallback("spare"), LONG), Choice(Restart(), VERIFY_WITHIN)]
     done = await recover(failure(world), strategies, world.context())
     assert (done.result, done.strategy) == ("Recovered", "Restart")
     assert done.attempts[0].message == "a container of pod w-2 is crash-looping"
-    assert world.clock() - begun < LONG / 3
+    assert world.clock() - started_at < LONG / 3
 
 
 async def test_the_last_strategy_has_its_full_timeout() -> None:

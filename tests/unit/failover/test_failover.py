@@ -97,16 +97,16 @@ async def test_the_gate_records_the_strategy_that_is_being_tried(monkeypatch: py
     store = protected(pool="hot")
     store.broken.add("w-2")
     world = World(store)
-    context, told = world.context(), list[str]()
+    context, errors = world.context(), list[str]()
     commit = context.gate.commit
 
     async def noted(target: Instance | None, progress: Progress | None) -> GateState:
-        told.append(progress.strategy if progress is not None else "")
+        errors.append(progress.strategy if progress is not None else "")
         return await commit(target, progress)
 
     monkeypatch.setattr(context.gate, "commit", noted)
     await recover(failure(world), choices(ExecutingFallback("hot"), Restart()), context)
-    assert list(dict.fromkeys(told)) == ["Fallback/Executing", "Restart"]
+    assert list(dict.fromkeys(errors)) == ["Fallback/Executing", "Restart"]
 
 
 @pytest.mark.parametrize("loss", ["terminating", "gone"])
@@ -122,11 +122,11 @@ async def test_a_lost_standby_is_abandoned_at_once(loss: str) -> None:
 
     asyncio.get_running_loop().call_later(0.2, lose)
     slow = [Choice(UninitializedFallback("spare"), 60.0), Choice(Restart(), VERIFY_WITHIN)]
-    begun = world.clock()
+    started_at = world.clock()
     done = await recover(failure(world), slow, world.context())
     assert (done.result, done.strategy) == ("Recovered", "Restart")
     assert "w-2 is" in done.attempts[0].message
-    assert world.clock() - begun < 20.0, "the time of the first strategy was waited for"
+    assert world.clock() - started_at < 20.0, "the time of the first strategy was waited for"
 
 
 async def test_a_recovery_without_a_verified_instance_fails_with_the_reason() -> None:

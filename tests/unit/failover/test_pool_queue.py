@@ -60,8 +60,8 @@ def play(robots: Sequence[Robot], pods: Sequence[float]) -> Course:
                 continue
             others = [places[j] for j in at_it if j != i and j not in course.served]
             ahead = before(places[i], others, now)
-            seen = {pod: max(since, places[i].since) for pod, since in free.items()}
-            at = due(ahead, seen.values())
+            available = {pod: max(since, places[i].since) for pod, since in free.items()}
+            at = due(ahead, available.values())
             if at is None:
                 continue
             if at > now:
@@ -71,7 +71,7 @@ def play(robots: Sequence[Robot], pods: Sequence[float]) -> Course:
             course.tried.append((now, i, pod))
             course.served[i] = (now, pod)
             passed = [j for j in living if j not in course.served and places[j].rank < places[i].rank]
-            course.overtaken += [now - min(seen.values()) for _ in passed]
+            course.overtaken += [now - min(available.values()) for _ in passed]
             del free[pod]
         left = [i for i in living if i not in course.served]
         course.idle += [(max(since, places[i].since), now) for since in free.values() for i in left]

@@ -138,9 +138,9 @@ async def test_a_waiting_workload_without_a_monitor_is_skipped(monkeypatch: pyte
     running = asyncio.create_task(fails(low, 10.0))
     await until(lambda: low.told == ["2 of 2"])
     refill(fleet, "p1")
-    begun = asyncio.get_running_loop().time()
+    started_at = asyncio.get_running_loop().time()
     done = await running
-    assert 0.09 < done.moments["claimed"] - begun < 3, "after its moment, and not after its time"
+    assert 0.09 < done.moments["claimed"] - started_at < 3, "after its moment, and not after its time"
     assert list(low.claims) == ["p1"]
 
 

@@ -156,11 +156,11 @@ async def test_state_is_restored_before_the_procedure_unless_the_procedure_resto
         failure(world), choices(InitializedFallback("warm", recovery=bring_up("r", procedure))), context
     )
     assert done.result == "Recovered"
-    told = [(entry.name, entry.message) for entry in done.state]
+    messages = [(entry.name, entry.message) for entry in done.state]
     if procedure is RESTORING:
-        assert told == [("/amcl_pose", "not tried")], "the agent's report of the tree's own leaf"
+        assert messages == [("/amcl_pose", "not tried")], "the agent's report of the tree's own leaf"
     else:
-        assert told != [("/amcl_pose", "not tried")]
+        assert messages != [("/amcl_pose", "not tried")]
 
 
 @pytest.mark.parametrize("dies_after", range(14))

@@ -57,8 +57,8 @@ def test_without_a_probe_no_routing_time_is_recorded() -> None:
 
 
 def test_a_planned_recovery_stays_planned_after_a_restart_and_in_the_record() -> None:
-    begun = Progress.begin("degraded: slow", last_healthy=99.9, detected=100.0, planned=True)
-    taken_up = Progress.model_validate_json(begun.model_dump_json())
+    progress = Progress.begin("degraded: slow", last_healthy=99.9, detected=100.0, planned=True)
+    taken_up = Progress.model_validate_json(progress.model_dump_json())
     assert taken_up.to_recovery(1).planned
     assert not Progress.begin("silent", last_healthy=99.9, detected=100.0).to_recovery(2).planned
 
@@ -106,9 +106,9 @@ class TestUnderWay:
         assert under_way(Committed.of(beside()), [("r3", rfc3339(NOW - 0.5 + later)), ("r1", None)]) is expected
 
     def test_the_order_in_the_status_does_not_matter(self) -> None:
-        told = [("r1", rfc3339(NOW - 60)), ("r3", rfc3339(NOW))]
-        assert not under_way(Committed.of(beside()), told)
-        assert not under_way(Committed.of(beside()), reversed(told))
+        recoveries = [("r1", rfc3339(NOW - 60)), ("r3", rfc3339(NOW))]
+        assert not under_way(Committed.of(beside()), recoveries)
+        assert not under_way(Committed.of(beside()), reversed(recoveries))
 
     def test_a_recovery_is_under_way_for_a_bounded_time(self) -> None:
         committed = Committed.of(beside())

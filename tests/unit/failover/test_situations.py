@@ -67,12 +67,12 @@ def test_a_situation_is_in_force_for_at_least_its_clear_time(
     course: list[tuple[int, dict[str, bool | None]]],
 ) -> None:
     found, now, entered = Situations(), 0.0, None
-    for step, seen in course:
+    for step, observed in course:
         now += step / 10
-        told = found.note((CARRYING,), seen, now)
-        if told is not None and entered is None:
-            assert seen["carrying"]
+        noted = found.note((CARRYING,), observed, now)
+        if noted is not None and entered is None:
+            assert observed["carrying"]
             entered = now
-        elif told is None and entered is not None:
+        elif noted is None and entered is not None:
             assert now - entered >= CARRYING.clear_after
             entered = None

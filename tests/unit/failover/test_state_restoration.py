@@ -125,8 +125,8 @@ async def test_state_is_restored_although_the_monitor_is_killed_at_any_step() ->
         try:
             done = await recover(failure(world), [Choice(UninitializedFallback("spare"), 1.0)], world.context())
         except Killed:
-            begun = made.journal or made.gate.recovery
-            progress = begun.model_copy(deep=True) if begun is not None else failure(World(made))
+            unfinished = made.journal or made.gate.recovery
+            progress = unfinished.model_copy(deep=True) if unfinished is not None else failure(World(made))
             world = World(made)
             done = await recover(progress, [Choice(UninitializedFallback("spare"), 1.0)], world.context())
             assert (done.result, made.given) == ("Recovered", {"w-2": made.kept}), f"killed at step {step}"

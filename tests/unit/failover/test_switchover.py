@@ -249,9 +249,9 @@ async def test_a_switchover_interrupted_at_any_step_leaves_one_active_instance_a
             assert store.gate.active in store.pods, f"killed at step {step}: who is let through runs"
             # As the next monitor does: it settles what was committed, and starts everything else again.
             context = World(store).context()
-            begun = store.journal if store.journal is not None else store.gate.recovery
-            if begun is not None and (begun.result != "Running" or switchover.committed(begun, context)):
-                done = await settle(begun.model_copy(deep=True), context)
+            unfinished = store.journal if store.journal is not None else store.gate.recovery
+            if unfinished is not None and (unfinished.result != "Running" or switchover.committed(unfinished, context)):
+                done = await settle(unfinished.model_copy(deep=True), context)
             else:
                 done = await switched(World(store), strategy)
         assert done.result == "Recovered", f"killed at step {step}"

@@ -168,10 +168,10 @@ class Monitor:
             return
         if self.notices is not None:
             status = server.items["robotworkloads"][(NAMESPACE, self.workload)].get("status") or {}
-            said = self.notices.status.to_wire()
-            for key in [key for key in said if key != "conditions" and said[key] != status.get(key)]:
+            reported = self.notices.status.to_wire()
+            for key in [key for key in reported if key != "conditions" and reported[key] != status.get(key)]:
                 yield f"{self.process} says another {key} than the status"
-            for condition in said["conditions"]:
+            for condition in reported["conditions"]:
                 if condition not in (status.get("conditions") or []):
                     yield f"{self.process} says another condition {condition['type']} than the status"
         pods = server.items["pods"].values()

@@ -175,13 +175,13 @@ class ApiServer:
                 )
         elif uid is not None and live["metadata"]["uid"] != uid:
             raise ApiError(409, "Conflict", f'{plural} "{place[1]}": the UID is {live["metadata"]["uid"]}')
-        given = {"status": body["status"]} if subresource == "status" else _whole(body)
+        applied_body = {"status": body["status"]} if subresource == "status" else _whole(body)
         key = (plural, place, manager, subresource)
         before = self._applied.get(key, {})
-        self._applied[key] = given
+        self._applied[key] = applied_body
         if live is None:
-            return self._create(plural, place[0], given, by, dry_run=False)
-        return self.write(plural, place, applied(live, before, given), by)
+            return self._create(plural, place[0], applied_body, by, dry_run=False)
+        return self.write(plural, place, applied(live, before, applied_body), by)
 
     def _delete(self, plural: str, place: Place, options: Object, by: str) -> Object:
         old = self._existing(plural, place)
@@ -277,24 +277,22 @@ def merged(target: Any, patch: Any) -> Any:
     return made
 
 
-def applied(live: Any, before: Any, given: Any) -> Any:
+def applied(live: Any, before: Any, body: Any) -> Any:
     """A server-side apply: removes the fields that this manager no longer gives, and sets those that it gives."""
-    if isinstance(given, dict) and isinstance(live, dict):
+    if isinstance(body, dict) and isinstance(live, dict):
         known = before if isinstance(before, dict) else {}
-        made = {key: value for key, value in live.items() if key not in known or key in given}
-        for key, value in given.items():
+        made = {key: value for key, value in live.items() if key not in known or key in body}
+        for key, value in body.items():
             made[key] = (
-                _conditions(live, known, given)
-                if key == "conditions"
-                else applied(live.get(key), known.get(key), value)
+                _conditions(live, known, body) if key == "conditions" else applied(live.get(key), known.get(key), value)
             )
         return made
-    return given
+    return body
 
 
-def _conditions(live: Object, before: Object, given: Object) -> list[Object]:
+def _conditions(live: Object, before: Object, body: Object) -> list[Object]:
     """Conditions are a map by their type: each manager has its own."""
-    mine = {condition["type"]: condition for condition in given["conditions"]}
+    mine = {condition["type"]: condition for condition in body["conditions"]}
     gone = {condition["type"] for condition in before.get("conditions") or []} - mine.keys()
     others = {c["type"]: c for c in live.get("conditions") or [] if c["type"] not in gone}
     return [value for _, value in sorted((others | mine).items())]

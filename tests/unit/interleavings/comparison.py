@@ -17,7 +17,7 @@ REPOSITORY = Path(__file__).parents[3]
 def told_alike(module: str, seed: int, others: range) -> str:
     """All that happens by a seed: the same in another process, where sets have another order, and whatever was run in it before."""
     text = f"from tests.unit.interleavings.{module} import run; {{before}}; print(run({seed}, tracing=True))"
-    told = {
+    observations = {
         subprocess.run(
             [sys.executable, "-c", text.format(before=before)],
             cwd=REPOSITORY,
@@ -28,8 +28,8 @@ def told_alike(module: str, seed: int, others: range) -> str:
         ).stdout
         for order, before in (("1", "pass"), ("2", f"[run(seed) for seed in {others}]"))
     }
-    assert len(told) == 1
-    return told.pop()
+    assert len(observations) == 1
+    return observations.pop()
 
 
 def without(*keys: str) -> Any:

@@ -262,8 +262,8 @@ class Invariants:
 
     def _misjudged(self, pool: Object, there: int) -> Iterator[str]:
         """Whether a former leader's word on a pool is the last one."""
-        if (said := (pool.get("status") or {}).get("replicas")) != there:
-            yield f"pool {_name(pool)} says that it has {said} pods, and has {there}"
+        if (reported := (pool.get("status") or {}).get("replicas")) != there:
+            yield f"pool {_name(pool)} says that it has {reported} pods, and has {there}"
 
     def _stands_by(self, pod: Object) -> bool:
         found = self._robots.running.get(pod["metadata"]["uid"])

@@ -165,8 +165,8 @@ class SimulatedClient(Client):
         def arrive() -> None:
             result: Object | ApiError | Exception
             try:
-                seen = network.remembered(path, params)
-                result = network.server.request(method, path, seen, body, content_type, process.name)
+                known_version = network.remembered(path, params)
+                result = network.server.request(method, path, known_version, body, content_type, process.name)
             except ApiError as error:
                 result = error
                 if error.conflict:

@@ -65,9 +65,9 @@ class Reflexive(Simulation):
         "somebody_asks": 2,
     }
 
-    def __init__(self, *given: Any, **more: Any) -> None:
+    def __init__(self, *arguments: Any, **more: Any) -> None:
         self._away = 0
-        super().__init__(*given, **more)
+        super().__init__(*arguments, **more)
 
     @property
     def mine(self) -> ReflexRobots:

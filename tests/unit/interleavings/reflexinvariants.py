@@ -51,11 +51,13 @@ class ReflexInvariants(Invariants):
 
     most_through = 2
 
-    def __init__(self, *given: Any, excused: Callable[[str], bool], says: Callable[[str], str], **more: Any) -> None:
+    def __init__(
+        self, *arguments: Any, excused: Callable[[str], bool], says: Callable[[str], str], **more: Any
+    ) -> None:
         """``excused`` tells whether a robot's monitor, or the network, can't be expected to work now; ``says`` what that says of
         the reflex.
         """
-        super().__init__(*given, **more)
+        super().__init__(*arguments, **more)
         self._excused, self._says = excused, says
         self.robots = cast(ReflexRobots, self._robots)
         self._shut_out: dict[str, dict[str, float]] = {}

@@ -340,10 +340,10 @@ class ReflexRobots(Robots):
             reached = writer if self.reaches(found.node, "robot") else None
             agent.reaches_since = (agent.reaches_since or self.now) if reached is not None else None
             reader.hear(found.uid, reached, left=agent.left)
-            heard = writer if self.reaches(found.node, "monitor", robot) else None
+            source = writer if self.reaches(found.node, "monitor", robot) else None
             for watching in self.watching.get(robot, ()):
-                known = heard is not None and self._discovered(watching, heard, robot)
-                watching.reader.hear(found.uid, heard if known else None, left=agent.left)
+                known = source is not None and self._discovered(watching, source, robot)
+                watching.reader.hear(found.uid, source if known else None, left=agent.left)
 
     def _discovered(self, watching: Watching, writer: Writer, robot: str) -> bool:
         if writer not in watching.known:

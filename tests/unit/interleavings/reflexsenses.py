@@ -88,8 +88,8 @@ class ReflexProbes(Probes):
 class ReflexSidecars(AgentConnections):
     """Agents that report the strengths of their instances, and receive the list of those who may permit them to continue."""
 
-    def __init__(self, *given: Any, **more: Any) -> None:
-        super().__init__(*given, **more)
+    def __init__(self, *arguments: Any, **more: Any) -> None:
+        super().__init__(*arguments, **more)
         self._said: dict[str, tuple[AgentStatus, float]] = {}
         self.believed: Callable[[str], bool] = lambda uid: False
         """Whether its monitor takes a pod for one that the gate names."""
@@ -109,8 +109,8 @@ class ReflexSidecars(AgentConnections):
         found, status = self._found(instance), super().status(instance)
         if found is None:
             # A connection that says nothing is given up after a while.
-            said, at = self._said.get(instance.uid, (None, 0.0))
-            return said if robots.now - at < SILENCE else None
+            state, at = self._said.get(instance.uid, (None, 0.0))
+            return state if robots.now - at < SILENCE else None
         if status is not None and agent is not None:
             # Only with the policy's gap is silence noticed.
             works = (found.sends and not agent.hangs) or robots.now - agent.silent_since < GAP
@@ -180,5 +180,5 @@ class ReflexMonitor(Monitor):
 
     def says(self, condition: str) -> str:
         """Why it says that a condition is as it is."""
-        said = self.notices.status.to_wire()["conditions"] if self.notices is not None else []
-        return next((f"{c['reason']}: {c['message']}" for c in said if c["type"] == condition), "")
+        conditions = self.notices.status.to_wire()["conditions"] if self.notices is not None else []
+        return next((f"{c['reason']}: {c['message']}" for c in conditions if c["type"] == condition), "")

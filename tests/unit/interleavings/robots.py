@@ -307,8 +307,8 @@ class Robots:
         def change(pod: Object) -> Object:
             if pod["metadata"]["uid"] != uid or "deletionTimestamp" in pod["metadata"]:
                 return pod
-            told = {"type": "DisruptionTarget", "status": "True", "reason": "DeletionByTaintManager"}
-            status = {**(pod.get("status") or {}), "conditions": [*_conditions(pod), told]}
+            condition = {"type": "DisruptionTarget", "status": "True", "reason": "DeletionByTaintManager"}
+            status = {**(pod.get("status") or {}), "conditions": [*_conditions(pod), condition]}
             metadata = {**pod["metadata"], "deletionTimestamp": stamp(self.now)}
             return {**pod, "metadata": metadata, "status": status}
 

@@ -79,5 +79,5 @@ class Outcome:
     """Its result; None if there is none."""
 
     def __str__(self) -> str:
-        told = "\n".join([*self.trace, *(f"DOES NOT HOLD: {fault}" for fault in self.faults)])
-        return f"seed {self.seed} ({self.scene}), {self.steps} steps, {self.seconds:.1f} s\n{told}"
+        text = "\n".join([*self.trace, *(f"DOES NOT HOLD: {fault}" for fault in self.faults)])
+        return f"seed {self.seed} ({self.scene}), {self.steps} steps, {self.seconds:.1f} s\n{text}"

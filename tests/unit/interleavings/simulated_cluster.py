@@ -132,8 +132,8 @@ class SimulatedCluster:
         self.invariants.see(plural, old, new, by)
         if self.tracing and plural == "pods" and (item := new or old) is not None:
             phase = (item.get("status") or {}).get("phase", "Pending")
-            told = "gone" if new is None else "leaving" if "deletionTimestamp" in item["metadata"] else phase
-            self.note(f"  pod {item['metadata']['name']} {told}, by {by}")
+            text = "gone" if new is None else "leaving" if "deletionTimestamp" in item["metadata"] else phase
+            self.note(f"  pod {item['metadata']['name']} {text}, by {by}")
 
     def _heard(self, robot: str) -> None:
         self.invariants.routed(robot)

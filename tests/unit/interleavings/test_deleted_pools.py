@@ -50,11 +50,11 @@ class Deleting(Simulation):
 
     causes = CAUSES
 
-    def __init__(self, *given: Any, **more: Any) -> None:
+    def __init__(self, *arguments: Any, **more: Any) -> None:
         self.seen: Counter[str] = Counter()
         """How often a pool was deleted, with how many claimed pods, and how often its Secret changed."""
         self._number = 0
-        super().__init__(*given, **more)
+        super().__init__(*arguments, **more)
 
     def _make_invariants(self) -> Invariants:
         return Unbounded(self.server, self.robots, broken=self._broken, leads=self._leads)
@@ -169,14 +169,14 @@ def run(seed: int, *, tracing: bool = False, scene: Scene | None = None) -> tupl
 
 
 def test_the_active_instance_can_be_commanded_after_its_pool_was_deleted() -> None:
-    seen: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     for seed in range(FIRST, FIRST + RUNS):
         outcome, found = run(seed)
         assert not outcome.faults, str(run(seed, tracing=True)[0])
-        seen += found
-    assert seen["deleted"] == RUNS, "it isn't about nothing"
-    assert seen["claimed"]
-    assert seen["gone"], "nobody needed it any more"
+        counts += found
+    assert counts["deleted"] == RUNS, "it isn't about nothing"
+    assert counts["claimed"]
+    assert counts["gone"], "nobody needed it any more"
 
 
 # -- the simulation finds faults ------------------------------------------------------------------------------------

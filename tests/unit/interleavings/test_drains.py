@@ -29,8 +29,8 @@ FAILS, CORDONED, DRAINED, OVER = 1.0, 12.0, 27.0, 40.0
 class Drained(Simulation):
     """A run in which a standby takes over, and then the node is emptied where the robot's next one waits."""
 
-    def __init__(self, *given: Any, **more: Any) -> None:
-        super().__init__(*given, **more)
+    def __init__(self, *arguments: Any, **more: Any) -> None:
+        super().__init__(*arguments, **more)
         self.emptied = ""
         """The node, from when it is cordoned on; none where the instance in control is there too."""
         self.stood_in = False

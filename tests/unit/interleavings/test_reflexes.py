@@ -42,15 +42,15 @@ def _prepared() -> None:
 
 @pytest.mark.parametrize("first", range(FIRST, FIRST + RUNS, CHUNK))
 def test_the_reflex_invariants_hold_in_every_interleaving(first: int) -> None:
-    seen: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     for seed in range(first, first + CHUNK):
         outcome = reflexes.run(seed)
         assert not outcome.faults, str(reflexes.run(seed, tracing=True))
-        seen += Counter(outcome.reflex)
-    assert seen["taken"] > CHUNK, "it isn't about nothing"
-    assert seen["let through"]
-    assert seen["held"]
-    assert seen["fell over"]
+        counts += Counter(outcome.reflex)
+    assert counts["taken"] > CHUNK, "it isn't about nothing"
+    assert counts["let through"]
+    assert counts["held"]
+    assert counts["fell over"]
 
 
 def test_a_seed_determines_the_run() -> None:

@@ -54,10 +54,10 @@ class Settled(Invariants):
 class Situated(Simulation):
     """A run in which robots begin to carry something, and end it."""
 
-    def __init__(self, *given: Any, **more: Any) -> None:
+    def __init__(self, *arguments: Any, **more: Any) -> None:
         self.seen: Counter[str] = Counter()
         """The result: standbys that were created, released, and that took over."""
-        super().__init__(*given, **more)
+        super().__init__(*arguments, **more)
         self.busy: set[str] = set()
         self.robots.busy = self.invariants.busy = self.busy  # type: ignore[attr-defined]
 
@@ -91,10 +91,10 @@ class Situated(Simulation):
         """No standby that could take over is removed while the monitor counts on it, unless there is another one."""
         workload = _labels(pod)[names.WORKLOAD]
         found = self.robots.running.get(pod["metadata"]["uid"])
-        told = self.server.get("configmaps", (NAMESPACE, names.settings(workload)))
-        if found is None or not found.stands_by or told is None:
+        configmap = self.server.get("configmaps", (NAMESPACE, names.settings(workload)))
+        if found is None or not found.stands_by or configmap is None:
             return
-        situation = WorkloadSettings.model_validate_json(told["data"]["settings.json"]).situation
+        situation = WorkloadSettings.model_validate_json(configmap["data"]["settings.json"]).situation
         others = [
             one
             for one in self.server.items["pods"].values()
@@ -132,21 +132,21 @@ def situations(monkeypatch: pytest.MonkeyPatch) -> None:
         found["spec"]["situations"] = [{"name": CARRYING, "when": when, "clearAfter": "2s", "strategies": raised}]
         return found
 
-    def seen(self: Any, goals: Collection[str], *, now: float, since: float) -> dict[str, SituationState]:
+    def observe(self: Any, goals: Collection[str], *, now: float, since: float) -> dict[str, SituationState]:
         return {CARRYING: SituationState(self._workload in getattr(self._robots, "busy", ()), "it is")}
 
     monkeypatch.setattr(world, "policy", policy)
-    monkeypatch.setattr(senses.HealthObserver, "situations", seen, raising=False)
+    monkeypatch.setattr(senses.HealthObserver, "situations", observe, raising=False)
     monkeypatch.setattr(simulated_cluster, "Invariants", Settled)
 
 
 @pytest.mark.usefixtures("situations")
 def test_the_invariants_hold_with_situations() -> None:
-    seen: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     for seed in range(FIRST, FIRST + RUNS):
         outcome, count = run(seed)
         assert not outcome.faults, str(run(seed, tracing=True)[0])
-        seen += count
-    assert seen["made"] > RUNS
-    assert seen["took over"], "it isn't about nothing"
-    assert seen["let go"]
+        counts += count
+    assert counts["made"] > RUNS
+    assert counts["took over"], "it isn't about nothing"
+    assert counts["let go"]

@@ -27,10 +27,10 @@ FIRST, RUNS = 300_000, 36
 class Asked(Simulation):
     """A run in which somebody asks for switchovers, now and then while nothing else happens."""
 
-    def __init__(self, *given: Any, **more: Any) -> None:
+    def __init__(self, *arguments: Any, **more: Any) -> None:
         self.switched: Counter[str] = Counter()
         """How often the gate was switched as planned, by what for."""
-        super().__init__(*given, **more)
+        super().__init__(*arguments, **more)
 
     def _plan_trouble(self) -> float:
         lasts = super()._plan_trouble()
@@ -77,8 +77,8 @@ class Asked(Simulation):
             asked = (item["metadata"].get("annotations") or {}).get(names.SWITCHOVER)
             # As its monitor has it: what a dead one has written may come late, over what its successor says.
             monitors = [m for m in self.monitors if m.workload == name]
-            said = [monitor.notices.status.switchover for monitor in monitors if monitor.notices is not None]
-            if asked and not any(one is not None and one.handled == asked for one in said):
+            statuses = [monitor.notices.status.switchover for monitor in monitors if monitor.notices is not None]
+            if asked and not any(one is not None and one.handled == asked for one in statuses):
                 yield f"{name} was never told what became of {asked!r}"
 
 

@@ -132,21 +132,21 @@ def test_a_robot_that_moves_without_a_command_is_detected():
 
 
 def turning(
-    following: CommandFollowing, seen: Motion, said: Motion, begin: float = 0.0, seconds: float = 4.0
+    following: CommandFollowing, commanded: Motion, measured: Motion, begin: float = 0.0, seconds: float = 4.0
 ) -> CommandFollowing:
     for tick in range(round(seconds * 10)):
-        following.command(begin + tick * IMAGE, said)
-        following.see(begin + tick * IMAGE + 0.01, seen, CERTAIN)
+        following.command(begin + tick * IMAGE, measured)
+        following.see(begin + tick * IMAGE + 0.01, commanded, CERTAIN)
     return following
 
 
 def test_rotation_and_sideways_motion_are_compared_too():
-    said = Motion(0.2, 0.1, 0.5)
-    assert turning(CommandFollowing(ALLOWED), said, said).discrepancy(4.0) is None
-    found = turning(CommandFollowing(ALLOWED), said._replace(turn=-0.5), said).discrepancy(4.0)
+    commanded = Motion(0.2, 0.1, 0.5)
+    assert turning(CommandFollowing(ALLOWED), commanded, commanded).discrepancy(4.0) is None
+    found = turning(CommandFollowing(ALLOWED), commanded._replace(turn=-0.5), commanded).discrepancy(4.0)
     assert found is not None
     assert found.component == "turning"
-    found = turning(CommandFollowing(ALLOWED), said._replace(left=-0.2), said).discrepancy(4.0)
+    found = turning(CommandFollowing(ALLOWED), commanded._replace(left=-0.2), commanded).discrepancy(4.0)
     assert found is not None
     assert found.component == "sideways"
 

@@ -31,10 +31,10 @@ def message(type_name: str, frame: str = "odom", child: str = "base_link") -> An
 @pytest.mark.parametrize("child", ["", "base_link", "robot_1/base"])
 def test_messages_that_ros_serialized_are_read(type_name: str, frame: str, child: str) -> None:
     serialization = pytest.importorskip("rclpy.serialization")
-    said = read(type_name, serialization.serialize_message(message(type_name, frame, child)))
-    assert (said.stamp, said.frame) == (STAMP, frame)
-    assert said.child == (child if type_name == "nav_msgs/msg/Odometry" else "")
-    assert said.pose == pytest.approx((1.5, -2.5, 0.25, 0.0, 0.0, 0.6, 0.8))
+    poses = read(type_name, serialization.serialize_message(message(type_name, frame, child)))
+    assert (poses.stamp, poses.frame) == (STAMP, frame)
+    assert poses.child == (child if type_name == "nav_msgs/msg/Odometry" else "")
+    assert poses.pose == pytest.approx((1.5, -2.5, 0.25, 0.0, 0.0, 0.6, 0.8))
 
 
 @pytest.mark.ros
@@ -52,8 +52,8 @@ def test_the_other_byte_order_is_read_too() -> None:
 
     head = struct.pack(">iI", 42, 7) + struct.pack(">I", 4) + b"map\0"
     data = b"\0\0\0\0" + head + struct.pack(">7d", 1, 2, 3, 0, 0, 0, 1)
-    said = read("geometry_msgs/msg/PoseStamped", data)
-    assert (said.stamp, said.frame, said.pose.place) == (42_000_000_007, "map", (1, 2, 3))
+    poses = read("geometry_msgs/msg/PoseStamped", data)
+    assert (poses.stamp, poses.frame, poses.pose.place) == (42_000_000_007, "map", (1, 2, 3))
     assert stamp_of(data) == 42_000_000_007
 
 

@@ -132,11 +132,11 @@ class MemoryClient(Client):
         lifetime: int | None = None,
         silence: float | None = None,
     ) -> AsyncIterator[tuple[str, Object]]:
-        told = 0
+        sent = 0
         while True:
-            while told < len(self._log):
-                at, event, place, item = self._log[told]
-                told += 1
+            while sent < len(self._log):
+                at, event, place, item = self._log[sent]
+                sent += 1
                 if at > int(version) and _selected(place, item, resource, namespace, labels, fields):
                     yield event, copy.deepcopy(item)
             await self._logged.wait()

@@ -136,9 +136,9 @@ async def test_the_link_connects_as_soon_as_an_agent_listens(agent):
     with pytest.raises(AgentGone, match="Connection refused"):
         await link.wait_connected(0.3)
     await agent.serve(agent.port)
-    begun = time.monotonic()
+    started_at = time.monotonic()
     await link.wait_connected(3)
-    assert time.monotonic() - begun < 1.2
+    assert time.monotonic() - started_at < 1.2
     await link.close()
 
 
@@ -150,10 +150,10 @@ async def test_a_lost_connection_fails_pending_requests_at_once(agent, link):
 
     agent.follow = die
     await link.wait_connected(2)
-    begun = time.monotonic()
+    started_at = time.monotonic()
     with pytest.raises(AgentGone):
         await link.start({"app": {"A": "1"}}, {})
-    assert time.monotonic() - begun < 0.5
+    assert time.monotonic() - started_at < 0.5
     agent.follow = keep_saying
     await link.wait_connected(2)
     assert agent.sessions >= 2
@@ -209,11 +209,11 @@ async def test_an_error_is_an_answer_to_its_request(agent, link):
     assert "probe: no" in str(refused)
 
 
-@pytest.mark.parametrize("said", [b"x\n", b"[]\n", b'{"status": 1}\n', b"\xff\n", b"x" * (2 << 20)])
-async def test_invalid_data_ends_the_session_but_not_the_link(agent, link, said):
+@pytest.mark.parametrize("data", [b"x\n", b"[]\n", b'{"status": 1}\n', b"\xff\n", b"x" * (2 << 20)])
+async def test_invalid_data_ends_the_session_but_not_the_link(agent, link, data):
     async def talk(reader, writer):
         await say(writer)
-        writer.write(said)
+        writer.write(data)
         agent.follow = keep_saying
         await asyncio.sleep(60)
 

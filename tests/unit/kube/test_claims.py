@@ -64,26 +64,26 @@ async def claimed(client: MemoryClient, pod: Object, by: str = "w") -> Object:
     return await claims.claim(client, pod, workload=by, workload_uid=f"uid-{by}", claim=f"uid-{by}/1")
 
 
-@pytest.mark.parametrize("told", [whole, by_name])
+@pytest.mark.parametrize("outcome", [whole, by_name])
 @pytest.mark.parametrize("carried_out", [True, False])
 @pytest.mark.parametrize("error", UNANSWERED, ids=repr)
 async def test_a_pod_is_claimed_once_although_the_answer_is_lost(
-    error: Exception, carried_out: bool, told: Callable[[Object], Object]
+    error: Exception, carried_out: bool, outcome: Callable[[Object], Object]
 ) -> None:
     client = Lossy((error, carried_out))
-    found = await claimed(client, told(await free_pod(client)))
+    found = await claimed(client, outcome(await free_pod(client)))
     assert found["metadata"]["annotations"][names.CLAIM] == "uid-w/1"
     assert names.HELD not in found["metadata"]["labels"]
     writes = [name for method, name, _ in client.requests if method == "PATCH"]
     assert len(writes) == 1, "one that was carried out isn't made again"
 
 
-@pytest.mark.parametrize("told", [whole, by_name])
+@pytest.mark.parametrize("outcome", [whole, by_name])
 async def test_a_pod_that_another_workload_claimed_meanwhile_is_not_ours(
-    told: Callable[[Object], Object],
+    outcome: Callable[[Object], Object],
 ) -> None:
     client = Lossy((TimeoutError(), False))
-    pod = told(await free_pod(client))
+    pod = outcome(await free_pod(client))
     item = client.items[(PODS.plural, "fleet", "spare-1")]
 
     def another() -> None:
@@ -95,10 +95,10 @@ async def test_a_pod_that_another_workload_claimed_meanwhile_is_not_ours(
     assert refused.value.conflict
 
 
-@pytest.mark.parametrize("told", [whole, by_name])
-async def test_the_first_of_two_claims_gets_the_pod(told: Callable[[Object], Object]) -> None:
+@pytest.mark.parametrize("outcome", [whole, by_name])
+async def test_the_first_of_two_claims_gets_the_pod(outcome: Callable[[Object], Object]) -> None:
     client = MemoryClient()
-    pod = told(await free_pod(client))
+    pod = outcome(await free_pod(client))
     first = await claimed(client, pod, by="v")
     with pytest.raises(ApiError) as refused:
         await claimed(client, pod, by="w")

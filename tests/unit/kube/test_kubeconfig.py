@@ -58,8 +58,12 @@ def plugin(folder: Path, expiry: str = "") -> dict[str, object]:
     script = folder / "plugin.sh"
     script.write_text(PLUGIN.format(folder=folder, expiry=f', "expirationTimestamp": "{expiry}"' if expiry else ""))
     script.chmod(0o755)
-    given = {"apiVersion": "client.authentication.k8s.io/v1", "command": str(script), "interactiveMode": "Never"}
-    return {"exec": given}
+    plugin_config = {
+        "apiVersion": "client.authentication.k8s.io/v1",
+        "command": str(script),
+        "interactiveMode": "Never",
+    }
+    return {"exec": plugin_config}
 
 
 async def served(handler: Server) -> TestServer:

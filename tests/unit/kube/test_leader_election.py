@@ -56,9 +56,9 @@ async def test_an_abandoned_lease_is_taken_over_after_it_was_unchanged_for_its_d
     client = MemoryClient()
     first, second = candidate(client, "a"), candidate(client, "b")
     await first.acquire()
-    begun = asyncio.get_running_loop().time()
+    started_at = asyncio.get_running_loop().time()
     await asyncio.wait_for(second.acquire(), 3)
-    assert asyncio.get_running_loop().time() - begun >= TIMING.lasts
+    assert asyncio.get_running_loop().time() - started_at >= TIMING.lasts
     assert holder(client) == "b"
     assert client.items["leases", "system", "operator"]["spec"]["leaseTransitions"] == 1
 
@@ -85,11 +85,11 @@ async def test_a_leader_that_cannot_renew_stops_before_another_may_start() -> No
     client = MemoryClient()
     lease = candidate(client, "a")
     await lease.acquire()
-    begun = asyncio.get_running_loop().time()
+    started_at = asyncio.get_running_loop().time()
     client.failing = lambda method, name: ApiError(503, "ServiceUnavailable", "away")
     with pytest.raises(LeadershipLost, match="was not renewed"):
         await asyncio.wait_for(lease.keep(), 2)
-    assert asyncio.get_running_loop().time() - begun < TIMING.lasts
+    assert asyncio.get_running_loop().time() - started_at < TIMING.lasts
     assert not lease.held
 
 

@@ -64,17 +64,17 @@ def test_a_uid_has_36_characters():
 
 
 async def test_arrivals_are_recorded_per_pod(receiver, send):
-    begun = time.time()
+    started_at = time.time()
     for _ in range(3):
         send(probes.encode(UID, 1, 1))
     send(probes.encode(OTHER, 1, 1))
     send(b"nonsense")
-    first = await receiver.wait(UID, begun, 1)
-    await receiver.wait(OTHER, begun, 1)
-    assert begun <= first <= time.time()
-    assert receiver.count_since(UID, begun) == 3
+    first = await receiver.wait(UID, started_at, 1)
+    await receiver.wait(OTHER, started_at, 1)
+    assert started_at <= first <= time.time()
+    assert receiver.count_since(UID, started_at) == 3
     assert receiver.count_since(UID, time.time()) == 0
-    assert begun <= receiver.last(OTHER) <= time.time()
+    assert started_at <= receiver.last(OTHER) <= time.time()
     assert receiver.last("nobody") is None
     assert receiver.count_since("nobody", 0) == 0
 
@@ -151,7 +151,7 @@ def times(receiver):
 
 async def test_a_burst_has_the_requested_duration_and_becomes_slower(receiver, sender):
     sender.aim("127.0.0.1", receiver.port)
-    begun, cpu = time.time(), time.process_time()
+    started_at, cpu = time.time(), time.process_time()
     sender.burst(0.002, 1.0)
     await asyncio.sleep(1.2)
     spent = time.process_time() - cpu
@@ -159,7 +159,7 @@ async def test_a_burst_has_the_requested_duration_and_becomes_slower(receiver, s
     arrivals = list(times(receiver))
     # Wide bounds: the machine may have more to do. A quiet one gives 97.
     assert 50 <= len(arrivals) <= 105
-    assert arrivals[-1] - begun < 1.15
+    assert arrivals[-1] - started_at < 1.15
     gaps = [b - a for a, b in itertools.pairwise(arrivals)]
     assert 0.0015 < statistics.median(gaps[:18]) < 0.004
     assert 0.018 < statistics.median(gaps[-20:]) < 0.03
@@ -204,23 +204,23 @@ async def test_a_burst_does_not_wait_for_the_event_loop(receiver, sender):
     sender.aim("127.0.0.1", receiver.port)
     sender.burst(0.005, 2.0)
     await receiver.wait(UID, 0, 1)
-    begun = time.time()
+    started_at = time.time()
     time.sleep(0.2)  # noqa: ASYNC251 (a busy event loop)
     ended = time.time()
     await asyncio.sleep(0.05)
-    assert receiver.count_since(UID, begun) - receiver.count_since(UID, ended) > 15
+    assert receiver.count_since(UID, started_at) - receiver.count_since(UID, ended) > 15
 
 
 async def test_a_second_burst_prolongs_the_first(receiver, sender):
     sender.aim("127.0.0.1", receiver.port)
-    begun = time.time()
+    started_at = time.time()
     sender.burst(0.01, 0.2)
     sender.burst(0.01, 0.5)
     await asyncio.sleep(0.8)
-    assert 0.4 < receiver.last(UID) - begun < 0.6
+    assert 0.4 < receiver.last(UID) - started_at < 0.6
     assert receiver.count_since(UID, 0) <= 52
     sender.burst(0.01, 0.1)
-    assert await receiver.wait(UID, begun + 0.7, 1)
+    assert await receiver.wait(UID, started_at + 0.7, 1)
 
 
 @pytest.mark.parametrize(("interval", "duration"), [(0.0, 1), (0.0001, 1), (2, 1), (0.001, 0), (0.001, 1e6)])

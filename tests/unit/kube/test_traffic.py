@@ -24,8 +24,8 @@ async def server() -> AsyncIterator[str]:
         if request.query.get("resourceVersion") == "1":
             return web.json_response({"reason": "Expired"}, status=410)
         item = {"metadata": {"name": "a", "resourceVersion": "3"}}
-        told = {"type": "ADDED", "object": item} if "watch" in request.query else {"metadata": {}, "items": [item]}
-        return web.Response(text=json.dumps(told) + "\n")
+        event = {"type": "ADDED", "object": item} if "watch" in request.query else {"metadata": {}, "items": [item]}
+        return web.Response(text=json.dumps(event) + "\n")
 
     app = web.Application()
     app.router.add_get("/api/v1/namespaces/fleet/pods", pods)
@@ -55,9 +55,9 @@ async def test_requests_are_counted_by_result_and_the_times_of_watch_events_are_
         assert len([event async for event in client.watch(PODS, "fleet", version="2")]) == 1
     assert [requests("GET", "200"), requests("GET", "404")] == [1, 1]
     assert [requests("WATCH", "410"), requests("WATCH", "200")] == [1, 1]
-    heard = registry.get_sample_value("understudy_watch_last_event_timestamp_seconds", {"resource": "pods"})
-    assert heard is not None
-    assert before <= heard <= time.time()
+    last_event = registry.get_sample_value("understudy_watch_last_event_timestamp_seconds", {"resource": "pods"})
+    assert last_event is not None
+    assert before <= last_event <= time.time()
 
     access, registry = Access("http://127.0.0.2:1", ssl.create_default_context()), CollectorRegistry()
     async with Client(access, listener=Traffic(*series(registry))) as client:

@@ -49,11 +49,13 @@ class Scene:
         """Let time pass, with the commands of one of them getting through to the arm."""
         for _ in range(round(seconds / PERIOD)):
             self._now += PERIOD
-            told = self._told[0]
+            target = self._told[0]
             for number, follower in enumerate(self.followers):
                 if number in silent:
                     continue
-                command = follower.step(told, self._now, PERIOD * self._ticks.uniform(1 - self._apart, 1 + self._apart))
+                command = follower.step(
+                    target, self._now, PERIOD * self._ticks.uniform(1 - self._apart, 1 + self._apart)
+                )
                 if number == through and command is None:
                     self.steps.append(self.controller.stay(now=self._now))
                 elif number == through:

@@ -58,14 +58,14 @@ def policy_of(*strategies: Object, **more: Any) -> FailurePolicySpec:
 
 def settings_of(workload: str = "w", **more: Any) -> WorkloadSettings:
     """Return what the operator resolved for a workload that a ReplicaSet runs, with these fields besides or instead."""
-    given = {
+    settings = {
         "workload": workload,
         "namespace": NAMESPACE,
         "uid": f"uid-{workload}",
         "source_kind": "ReplicaSet",
         "source_name": workload,
     }
-    return WorkloadSettings.model_validate(given | more)
+    return WorkloadSettings.model_validate(settings | more)
 
 
 def pod_of(instance: Instance, workload: str = "w") -> Object:

@@ -52,15 +52,15 @@ class World:
 
     def adopt(self, active: str) -> None:
         """Begin as a monitor whose predecessor reported this instance as active and degraded."""
-        said = condition("Degraded", True, "NotWell", "/scan at 8.6 Hz.")
-        self.notices = RecordedNotices(PublishedStatus(by_type={"Degraded": said}, adopted=active))
+        degraded = condition("Degraded", True, "NotWell", "/scan at 8.6 Hz.")
+        self.notices = RecordedNotices(PublishedStatus(by_type={"Degraded": degraded}, adopted=active))
         self.levels = DegradationLevel(self.observer, self.notices)
 
     def look(
         self,
         seconds: float,
         *,
-        given: FailurePolicySpec = TIGHT,
+        policy: FailurePolicySpec = TIGHT,
         health: Verdict = HEALTHY,
         active: Instance = ACTIVE,
     ) -> bool:
@@ -68,7 +68,7 @@ class World:
         degraded = False
         for _ in range(round(seconds * 10)):
             self.clock.now += 0.1
-            degraded = self.levels.evaluate(given, health, active, now=time.time(), since=0.0)
+            degraded = self.levels.evaluate(policy, health, active, now=time.time(), since=0.0)
         return degraded
 
     @property

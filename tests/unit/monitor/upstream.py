@@ -81,8 +81,8 @@ class Upstream:
 
     async def said(self, health: str, *recoveries: Progress, now: float = NOW, **status: Any) -> None:
         """Localization's monitor says how it is."""
-        told = [one.to_recovery(number) for number, one in enumerate(recoveries, 1)]
-        found = RobotWorkloadStatus(health=health, recoveries=told[::-1], **status)  # type: ignore[arg-type]
+        statuses = [one.to_recovery(number) for number, one in enumerate(recoveries, 1)]
+        found = RobotWorkloadStatus(health=health, recoveries=statuses[::-1], **status)  # type: ignore[arg-type]
         await self._status(found.to_wire(), now)
 
     async def told(self, notices: Notices, now: float = NOW) -> None:

@@ -36,10 +36,10 @@ def steer(linear: float, angular: float) -> None:
 def listen() -> None:
     """Says the latest of everything that the robot tells."""
     node = Node("listen")
-    heard: dict[str, object] = {}
+    received: dict[str, object] = {}
 
     def odometry(message: Odometry) -> None:
-        heard["odom"] = [
+        received["odom"] = [
             message.header.frame_id,
             message.child_frame_id,
             message.pose.pose.position.x,
@@ -47,7 +47,7 @@ def listen() -> None:
         ]
 
     def scan(message: LaserScan) -> None:
-        heard["scan"] = [
+        received["scan"] = [
             message.header.frame_id,
             len(message.ranges),
             message.angle_min + message.angle_increment * len(message.ranges),
@@ -57,10 +57,15 @@ def listen() -> None:
 
     def transforms(key: str, message: TFMessage) -> None:
         one = message.transforms[0]
-        heard[key] = [one.header.frame_id, one.child_frame_id, one.transform.translation.x, one.transform.translation.z]
+        received[key] = [
+            one.header.frame_id,
+            one.child_frame_id,
+            one.transform.translation.x,
+            one.transform.translation.z,
+        ]
 
     def truth(message: PoseStamped) -> None:
-        heard["truth"] = [message.header.frame_id, message.pose.position.x, message.pose.position.y]
+        received["truth"] = [message.header.frame_id, message.pose.position.x, message.pose.position.y]
 
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     node.create_subscription(Odometry, "/odom", odometry, 10)
@@ -68,7 +73,7 @@ def listen() -> None:
     node.create_subscription(TFMessage, "/tf", lambda m: transforms("tf", m), 100)
     node.create_subscription(TFMessage, "/tf_static", lambda m: transforms("tf_static", m), latched)
     node.create_subscription(PoseStamped, "/ground_truth/pose", truth, 10)
-    node.create_timer(0.2, lambda: say(**heard))
+    node.create_timer(0.2, lambda: say(**received))
     rclpy.spin(node)
 
 

@@ -57,16 +57,16 @@ def test_the_robot_follows_commands_and_stops_without_them(run: Run) -> None:
     assert all(0 <= r["received"] - r["sent"] < 5 for r in records)
     stop(other)
 
-    heard = run.records("listen")[-1]
+    received = run.records("listen")[-1]
     start = generate(SEED).start
-    assert heard["odom"][:2] == ["odom", "base_link"]
-    assert heard["scan"][:2] == ["laser", 360]
-    assert heard["scan"][2] == pytest.approx(math.pi)
-    assert 0.1 <= heard["scan"][4] < 8.0
-    assert heard["tf"][:2] == ["odom", "base_link"]
-    assert heard["tf_static"] == ["base_link", "laser", pytest.approx(-0.04), pytest.approx(0.2)]
+    assert received["odom"][:2] == ["odom", "base_link"]
+    assert received["scan"][:2] == ["laser", 360]
+    assert received["scan"][2] == pytest.approx(math.pi)
+    assert 0.1 <= received["scan"][4] < 8.0
+    assert received["tf"][:2] == ["odom", "base_link"]
+    assert received["tf_static"] == ["base_link", "laser", pytest.approx(-0.04), pytest.approx(0.2)]
     # It turned on the spot.
-    assert heard["truth"] == ["map", pytest.approx(start.x, abs=0.05), pytest.approx(start.y, abs=0.05)]
+    assert received["truth"] == ["map", pytest.approx(start.x, abs=0.05), pytest.approx(start.y, abs=0.05)]
 
     robot.send_signal(signal.SIGTERM)
     assert robot.wait(20) == 0

@@ -101,13 +101,13 @@ def test_the_laser_sees_what_the_map_shows(world: World) -> None:
         simulation = Simulation(world, place, np.random.default_rng(1))
         ranges = simulation.scan()
         assert len(ranges) == len(simulation.bearings) == 360
-        seen = np.isfinite(ranges)
-        assert seen.mean() > 0.5
-        assert (ranges[seen] >= NEAREST).all()
-        assert (ranges[seen] <= FARTHEST).all()
+        finite = np.isfinite(ranges)
+        assert finite.mean() > 0.5
+        assert (ranges[finite] >= NEAREST).all()
+        assert (ranges[finite] <= FARTHEST).all()
         at = simulation.pose
-        x = at.x - 0.04 * math.cos(at.heading) + ranges[seen] * np.cos(at.heading + simulation.bearings[seen])
-        y = at.y - 0.04 * math.sin(at.heading) + ranges[seen] * np.sin(at.heading + simulation.bearings[seen])
+        x = at.x - 0.04 * math.cos(at.heading) + ranges[finite] * np.cos(at.heading + simulation.bearings[finite])
+        y = at.y - 0.04 * math.sin(at.heading) + ranges[finite] * np.sin(at.heading + simulation.bearings[finite])
         away = np.sqrt(((np.stack([x, y], axis=1)[:, None, :] - middles[None]) ** 2).sum(-1)).min(axis=1)
         # From a thing's edge to the middle of its next cell, and noise.
         assert np.quantile(away, 0.95) < 0.075
@@ -123,8 +123,8 @@ def test_odometry_is_accurate_for_metres_and_drifts_later(world: World) -> None:
         # To and fro and round: 6 m and four half turns.
         for speed, turn, seconds in [(0.4, 0.0, 5.0), (0.0, 1.0, math.pi), (0.4, 0.0, 2.5), (0.0, 1.0, math.pi)] * 2:
             go(simulation, speed, turn, seconds, odometry)
-        at, said = simulation.pose, odometry.pose
-        errors.append(math.hypot(start.x + said.x - at.x, start.y + said.y - at.y))
+        at, estimate = simulation.pose, odometry.pose
+        errors.append(math.hypot(start.x + estimate.x - at.x, start.y + estimate.y - at.y))
         assert errors[-1] < 0.6
     assert max(errors) > 0.02, "a robot whose odometry is never wrong needs no localization"
 

@@ -102,8 +102,10 @@ def tour(seed: int, goals: int, *, start_error: Pose = ORIGIN) -> Tour:
                 done.errors.append(estimate.distance(robot.pose))
                 done.turned.append(abs(math.remainder(estimate.heading - robot.pose.heading, math.tau)))
             now = estimate.then(last.to(robot.odometry))
-            seen = np.isfinite(scan)
-            obstacles = np.column_stack([scan[seen] * np.cos(BEARINGS[seen]), scan[seen] * np.sin(BEARINGS[seen])])
+            finite = np.isfinite(scan)
+            obstacles = np.column_stack(
+                [scan[finite] * np.cos(BEARINGS[finite]), scan[finite] * np.sin(BEARINGS[finite])]
+            )
             command = pursuit.command(now, obstacles, PERIOD)
             robot.drive(command)
             done.clearances.append(robot.clearance)

@@ -78,9 +78,9 @@ def test_a_pose_with_half_a_second_of_motion_error_is_corrected_at_any_place() -
         truth = as_pose(place)
         particles, scan = ParticleFilter(grid, particles=500, seed=1), cast(world, truth)
         off = Pose(0.25, 0.0, 0.0), Pose(0.0, 0.0, chance.choice([-0.4, 0.4]))
-        told = Pose(truth.x, truth.y, truth.heading + chance.uniform(-math.pi, math.pi)).then(off[0])
-        told = Pose(told.x, told.y, truth.heading).then(off[1])
-        particles.spread(told, np.diag(np.square([0.35, 0.35, 0.35])).tolist())
+        estimate = Pose(truth.x, truth.y, truth.heading + chance.uniform(-math.pi, math.pi)).then(off[0])
+        estimate = Pose(estimate.x, estimate.y, truth.heading).then(off[1])
+        particles.spread(estimate, np.diag(np.square([0.35, 0.35, 0.35])).tolist())
         for _ in range(15):
             particles.move(HERE)
             particles.sense(scan, BEARINGS, HERE)

@@ -103,8 +103,8 @@ def test_every_policy_has_the_same_health_tree_and_keeps_the_same_state() -> Non
 def test_the_bring_up_publishes_the_start_pose_of_the_world() -> None:
     (workload,) = of_kind("RobotWorkload", "manifests")
     start = generate(7).start
-    (said,) = leaves(workload["spec"]["bringUp"], "publish")
-    pose = said["message"]["pose"]["pose"]
+    (start_pose,) = leaves(workload["spec"]["bringUp"], "publish")
+    pose = start_pose["message"]["pose"]["pose"]
     assert (pose["position"]["x"], pose["position"]["y"]) == pytest.approx((start.x, start.y))
     assert 2 * math.atan2(pose["orientation"]["z"], pose["orientation"]["w"]) == pytest.approx(start.heading, abs=1e-4)
     seeds = {e["value"] for _, m in ALL for c in leaves(m, "env") for e in c if e["name"] == "NAVIGATION_SEED"}
@@ -150,8 +150,8 @@ def test_the_nav2_workload_differs_only_in_its_image_and_its_nodes() -> None:
     assert nav2["metadata"] == ours["metadata"]
     for field in ("outputs", "tasks", "monitor"):
         assert nav2["spec"][field] == ours["spec"][field]
-    told = [{f["node"] for f in leaves(w["spec"]["bringUp"], "set_lifecycle")} for w in (ours, nav2)]
-    assert told[0] < told[1]
+    nodes = [{f["node"] for f in leaves(w["spec"]["bringUp"], "set_lifecycle")} for w in (ours, nav2)]
+    assert nodes[0] < nodes[1]
     kept = [p["spec"]["state"]["keep"] for p in of_kind("FailurePolicy")]
     assert all([{**topic, "maxAge": ""} for topic in k] == [{**topic, "maxAge": ""} for topic in kept[0]] for k in kept)
 

@@ -23,7 +23,7 @@ GOOD = "image: map.pgm\nresolution: 0.1\norigin: [0, 0, 0]\n"
 
 
 @pytest.mark.parametrize(
-    ("about", "picture", "said"),
+    ("about", "picture", "message"),
     [
         ("image: map.pgm\norigin: [0, 0, 0]\n", b"P5\n1 1\n255\n\0", "map.yaml: resolution is missing"),
         (GOOD + "mode: scale\n", b"P5\n1 1\n255\n\0", "mode: found 'scale', only trinary is read"),
@@ -35,11 +35,11 @@ GOOD = "image: map.pgm\nresolution: 0.1\norigin: [0, 0, 0]\n"
     ],
 )
 def test_an_invalid_map_is_refused_with_the_reason(
-    tmp_path: Path, about: str, picture: bytes | None, said: str
+    tmp_path: Path, about: str, picture: bytes | None, message: str
 ) -> None:
     (tmp_path / "map.yaml").write_text(about)
     if picture is not None:
         (tmp_path / "map.pgm").write_bytes(picture)
-    with pytest.raises(ValueError, match=said.replace("(", r"\(")) as error:
+    with pytest.raises(ValueError, match=message.replace("(", r"\(")) as error:
         maps.read(tmp_path / "map.yaml")
     assert "map.yaml" in str(error.value)

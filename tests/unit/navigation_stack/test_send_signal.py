@@ -22,16 +22,16 @@ def test_a_module_is_found_by_its_full_name(process: subprocess.Popen[bytes]) ->
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (["STOP", "controler_server"], "found controler_server, which is none of map_server, amcl"),
         (["STAND"], "found STAND, give a name such as KILL"),
     ],
 )
 def test_an_unknown_module_or_signal_is_reported(
-    arguments: list[str], said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    arguments: list[str], message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["send_signal", *arguments])
     with pytest.raises(SystemExit):
         send_signal.main()
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err

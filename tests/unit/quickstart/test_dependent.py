@@ -46,8 +46,10 @@ def test_every_reader_of_an_output_uses_its_gated_port() -> None:
         assert [v["configMap"]["name"] for v in pod["volumes"] if "configMap" in v] == [names.robot_profiles(source)]
         (container,) = pod["containers"]
         (mount,) = (m["mountPath"] for m in container["volumeMounts"] if m.get("readOnly"))
-        given = {entry["name"]: entry.get("value") for entry in container["env"]}
-        assert given.get("FASTRTPS_DEFAULT_PROFILES_FILE", "/etc/understudy/profiles.xml") == f"{mount}/profiles.xml"
+        variables = {entry["name"]: entry.get("value") for entry in container["env"]}
+        assert (
+            variables.get("FASTRTPS_DEFAULT_PROFILES_FILE", "/etc/understudy/profiles.xml") == f"{mount}/profiles.xml"
+        )
 
 
 def test_all_workloads_use_the_discovery_server_of_the_first_one() -> None:

@@ -89,9 +89,9 @@ def address_of(monkeypatch: pytest.MonkeyPatch) -> Callable[[bytes], str]:
     monkeypatch.setattr(MIDDLEWARE, "host_at", lambda address: hosts.get(address) or real(address))
 
     def address(host: bytes) -> str:
-        given = f"192.0.2.{100 + len(hosts)}"
-        hosts[given] = host
-        return given
+        free_address = f"192.0.2.{100 + len(hosts)}"
+        hosts[free_address] = host
+        return free_address
 
     return address
 

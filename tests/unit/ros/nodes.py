@@ -54,12 +54,12 @@ def say(topic: str, type_name: str) -> None:
     rclpy.init()
     node, cls = Node(f"say{time.time_ns()}"), message_class(type_name)
     publisher = node.create_publisher(cls, topic, 10)
-    told: list[str] = []
-    threading.Thread(target=lambda: told.extend(sys.stdin), daemon=True).start()
+    messages: list[str] = []
+    threading.Thread(target=lambda: messages.extend(sys.stdin), daemon=True).start()
     print("ready", flush=True)
     while True:
-        if told:
-            publisher.publish(to_message(cls, json.loads(told[-1])))
+        if messages:
+            publisher.publish(to_message(cls, json.loads(messages[-1])))
         time.sleep(0.05)
 
 
@@ -124,28 +124,28 @@ def capture(text: str) -> None:
     wish = json.loads(text)
     capturing = StateSamples(Graph("capturer"))
     capturing.follow(dict.fromkeys(wish["topics"], None))
-    seen: list[list[object]] = []
+    samples: list[list[object]] = []
 
     def drain() -> None:
         for message in capturing.drain():
             x = deserialize_message(message.data, PoseWithCovarianceStamped).pose.pose.position.x
-            seen.append([message.topic, x, message.standing])
+            samples.append([message.topic, x, message.standing])
 
     print("ready", flush=True)
     results = []
     for active in wish["active"]:
-        seen.clear()
+        samples.clear()
         capturing.attribute(wish["instances"], active)
         end = time.monotonic() + 20
-        while not all(any(topic == s[0] and x == s[1] for s in seen) for topic, x in wish["expect"][active]):
-            assert time.monotonic() < end, f"{active}: {seen}"
+        while not all(any(topic == s[0] and x == s[1] for s in samples) for topic, x in wish["expect"][active]):
+            assert time.monotonic() < end, f"{active}: {samples}"
             drain()
             time.sleep(0.02)
         end = time.monotonic() + 1.0
         while time.monotonic() < end:  # whatever else would come by mistake
             drain()
             time.sleep(0.02)
-        results.append(list(seen))
+        results.append(list(samples))
     print(json.dumps(results), flush=True)
 
 
@@ -246,7 +246,7 @@ def watch(duration: str, text: str) -> None:
         assert time.monotonic() < end, "the publishers were not found"
         watching.drain()
         time.sleep(0.05)
-    seen = []
+    samples = []
     for pod in active:
         watching.attribute(instances, pod)
         switched = time.time()
@@ -254,7 +254,7 @@ def watch(duration: str, text: str) -> None:
             watching.drain()
             time.sleep(0.05)
         now = time.time()
-        seen.append(
+        samples.append(
             {
                 "counted": {name: watching.topic(name).count for name in wish["topics"]},
                 "first": {
@@ -274,7 +274,7 @@ def watch(duration: str, text: str) -> None:
                 "now": now,
             }
         )
-    print(json.dumps(seen), flush=True)
+    print(json.dumps(samples), flush=True)
 
 
 def look(topic: str, service: str) -> None:

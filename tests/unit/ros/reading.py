@@ -22,8 +22,8 @@ from understudy.ros.runtime.graph_node import Graph
 class Printed(Notices):
     """Prints each change of a condition."""
 
-    def condition(self, type_: str, *said: str) -> bool:
-        line = json.dumps([type_, *said])
+    def condition(self, type_: str, *fields: str) -> bool:
+        line = json.dumps([type_, *fields])
         if line != getattr(self, "last", ""):
             self.last = line
             print(line, flush=True)
@@ -38,17 +38,17 @@ class Observer:
     addresses: dict[str, str]
 
 
-def main(given: dict[str, Any]) -> None:
+def main(arguments: dict[str, Any]) -> None:
     robot_readers.PERIOD, robot_readers.SETTLE = 0.2, 1.0
     watched = ClusterObjects(workload="robot-17")
     outputs = [{"topic": "/chat", "type": "std_msgs/msg/String"}]
-    watched.put_workload(outputs=outputs, gate={"robots": given["robots"]})
+    watched.put_workload(outputs=outputs, gate={"robots": arguments["robots"]})
     graph = Graph("understudy_monitor")
     own = graph.subscribe("/chat", "std_msgs/msg/String", depth=1)
-    observer = cast(HealthObserver, Observer(graph, given["instances"]))
-    told = Printed()
+    observer = cast(HealthObserver, Observer(graph, arguments["instances"]))
+    notices = Printed()
     print("ready", flush=True)
-    asyncio.run(RobotReaders(watched.view, observer, told, given["address"]).run())
+    asyncio.run(RobotReaders(watched.view, observer, notices, arguments["address"]).run())
     del own
 
 

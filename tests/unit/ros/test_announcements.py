@@ -67,14 +67,14 @@ def test_a_discovery_server_reports_every_reader_and_forgets_the_requester(
     discovery_server()
     processes.node("obey", CHAT, "{}")
     processes.node("obey", CHAT, "{}", **profiles)
-    told = json.loads(processes.line(processes.node("127.0.0.1", script=script), 60))
-    assert told["took"] < 5, "it left as soon as it knew"
-    gated, plain = sorted(told["first"])
+    announced = json.loads(processes.line(processes.node("127.0.0.1", script=script), 60))
+    assert announced["took"] < 5, "it left as soon as it knew"
+    gated, plain = sorted(announced["first"])
     assert [port for _, port in gated] == [names.GATE_PORTS[0]] * len(gated)
     assert all(port > names.GATE_RANGE[1] for _, port in plain)
-    assert told["again"] == told["first"], "it can be asked again, in another's name"
-    assert len(told["some"]) == 1, "one that isn't there keeps it from nothing"
-    assert told["readers"] == 2
+    assert announced["again"] == announced["first"], "it can be asked again, in another's name"
+    assert len(announced["some"]) == 1, "one that isn't there keeps it from nothing"
+    assert announced["readers"] == 2
 
 
 def test_without_an_answer_the_known_locators_are_returned() -> None:
@@ -83,14 +83,14 @@ def test_without_an_answer_the_known_locators_are_returned() -> None:
         discovery = Discovery("127.0.0.1", silent.getsockname()[1], b"DS\0_EPROSIMA")
         assert asyncio.run(locators([bytes(16)], "127.0.0.1", discovery, within=0.8)) == {}
         silent.setblocking(False)
-        heard: list[int] = []
-        while len(heard) < 4:
+        readers: list[int] = []
+        while len(readers) < 4:
             try:
-                heard.append(silent.recvfrom(2000)[1][1])
+                readers.append(silent.recvfrom(2000)[1][1])
             except BlockingIOError:
                 break
-    assert len(heard) == 3, "two announcements, for one may be lost, and a farewell"
-    assert all(7410 < port < 7650 for port in heard), "from a port that the domain's firewalls let through"
+    assert len(readers) == 3, "two announcements, for one may be lost, and a farewell"
+    assert all(7410 < port < 7650 for port in readers), "from a port that the domain's firewalls let through"
 
 
 def test_the_requested_discovery_follows_the_ros_environment() -> None:
@@ -109,8 +109,8 @@ def test_without_a_server_each_participant_reports_its_own_readers(processes, pr
         processes.node("obey", CHAT, "{}", inside=lan.host("10.77.0.2"))
         processes.node("obey", CHAT, "{}", inside=lan.host("10.77.0.3"), **profiles)
         asker = processes.node("10.77.0.4", inside=lan.host("10.77.0.4"), script=script)
-        told = json.loads(processes.line(asker, 60))
-    (plain,), (gated,) = ([Locator(*place) for place in places] for places in told["first"])
+        announced = json.loads(processes.line(asker, 60))
+    (plain,), (gated,) = ([Locator(*place) for place in places] for places in announced["first"])
     assert plain.address == "10.77.0.2"
     assert plain.port > names.GATE_RANGE[1]
     assert gated == Locator("10.77.0.3", names.GATE_PORTS[0])

@@ -25,9 +25,9 @@ def _run(*command: object, **more: str) -> str:
 
 def test_the_environment_contains_the_folders_that_ros_finds_by_itself() -> None:
     found = _run(sys.executable, "-c", SHOW)
-    given = _run(COMMAND, sys.executable, "-c", SHOW)
+    environment = _run(COMMAND, sys.executable, "-c", SHOW)
     assert len(found.split(":")) > 2
-    assert sorted(given.split(":")) == sorted(found.split(":"))
+    assert sorted(environment.split(":")) == sorted(found.split(":"))
 
 
 def test_python_does_not_restart_itself_in_the_environment() -> None:

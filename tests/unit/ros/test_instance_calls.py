@@ -75,12 +75,12 @@ async def test_a_service_call_without_an_answer_times_out(managed: Managed, call
         assert time.monotonic() < end
         await asyncio.sleep(0.05)
 
-    told = ""
-    while told != "service /never has not answered within 1 s":  # it may be found only just before the end
-        assert time.monotonic() < end, told
+    message = ""
+    while message != "service /never has not answered within 1 s":  # it may be found only just before the end
+        assert time.monotonic() < end, message
         with pytest.raises(CallFailed) as failure:
             await caller.call("/never", "std_srvs/srv/Trigger", {}, 1.0)
-        told = str(failure.value)
+        message = str(failure.value)
 
 
 async def test_a_service_call_with_a_repeat_time_is_repeated_after_a_lost_answer(managed: Managed, caller) -> None:
@@ -259,8 +259,8 @@ async def test_an_idle_caller_closes_its_node_and_makes_another(
     opened, closed = [], []
 
     class RecordedNode(instance_calls.CallingNode):
-        def __init__(self, *given) -> None:
-            super().__init__(*given)
+        def __init__(self, *arguments) -> None:
+            super().__init__(*arguments)
             opened.append(self)
 
         def close(self) -> None:

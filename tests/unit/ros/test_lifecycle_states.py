@@ -105,8 +105,8 @@ def test_publishing_setting_parameters_and_other_nodes_have_no_influence(watchin
             caller.close()
 
     asyncio.run(disturb())
-    told = watching.lifecycle(NODE).received
-    eventually(lambda: judged.now() and watching.lifecycle(NODE).received > told + 1.0)
+    transition = watching.lifecycle(NODE).received
+    eventually(lambda: judged.now() and watching.lifecycle(NODE).received > transition + 1.0)
     assert judged.now().state == "Healthy"
 
 

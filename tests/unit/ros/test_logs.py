@@ -36,7 +36,7 @@ def test_only_matching_log_messages_of_the_node_fail(watching, processes, eventu
     eventually(lambda: judged.now() and len(graph.publishers("/rosout")) == 2)
     states = set()
 
-    def said(node: Any, *lines: str) -> None:
+    def log_lines(node: Any, *lines: str) -> None:
         """Have it log until each line has been heard: a subscription may be matched late."""
         for line in lines:
             count = heard(watching)
@@ -51,10 +51,10 @@ def test_only_matching_log_messages_of_the_node_fail(watching, processes, eventu
 
             eventually(again)
 
-    said(planner, "error no way out")
-    said(controller, "warn no way out", "error a way out", "info nothing")
+    log_lines(planner, "error no way out")
+    log_lines(controller, "warn no way out", "error a way out", "info nothing")
     assert states == {"Healthy"}
-    said(controller, "error no way out")
+    log_lines(controller, "error no way out")
     eventually(lambda: judged.now().state == "Failed")
     assert_golden("ros", judged.now().reason, "/controller", "/rosout", "controller says ERROR: no way out")
     eventually(lambda: judged.now().state == "Healthy")
@@ -92,7 +92,9 @@ def test_log_messages_below_the_level_are_not_deserialized(watching, processes, 
     node = processes.node("log", "controller")
     read = []
     real = rclpy.serialization.deserialize_message
-    monkeypatch.setattr(rclpy.serialization, "deserialize_message", lambda *given: read.append(1) or real(*given))
+    monkeypatch.setattr(
+        rclpy.serialization, "deserialize_message", lambda *arguments: read.append(1) or real(*arguments)
+    )
 
     def some() -> bool:
         log(node, "warn no way out")

@@ -58,24 +58,24 @@ def test_a_missing_node_fails_regardless_of_other_nodes(watching, join, eventual
 
 def test_a_node_without_parameter_events_is_found_by_its_other_endpoints(watching, join, eventually, graph):
     # Its other topics are gone through once a second.
-    controller, said = join("controller"), Judged(watching, {"node": {"name": "/controller", "for": "5s"}})
-    eventually(lambda: said.now().state == "Healthy")
+    controller, judged = join("controller"), Judged(watching, {"node": {"name": "/controller", "for": "5s"}})
+    eventually(lambda: judged.now().state == "Healthy")
     node = controller.node
     listener = controller.subscribe("/chat", "std_msgs/msg/String", depth=1)
     node.destroy_publisher(next(p for p in node.publishers if p.topic_name == "/parameter_events"))
     states = set()
 
     def without() -> bool:
-        states.add(said.now().state)
+        states.add(judged.now().state)
         return not any(end.node == "/controller" for end in graph.publishers("/parameter_events"))
 
     eventually(without)
     for _ in range(3):
-        watching.follow(said.tree.topics)  # so that it looks again at once
-        states.add(said.now().state)
+        watching.follow(judged.tree.topics)  # so that it looks again at once
+        states.add(judged.now().state)
     assert states == {"Healthy"}
     controller.unsubscribe(listener)
-    eventually(lambda: said.now().state == "Failed")
+    eventually(lambda: judged.now().state == "Failed")
 
 
 def test_an_agent_counts_only_nodes_of_its_own_host(graph, join, eventually):

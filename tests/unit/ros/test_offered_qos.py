@@ -55,11 +55,11 @@ def test_discovered_qos_is_written_as_rosbag2_does(monkeypatch: pytest.MonkeyPat
     while not graph.offered("/said"):
         assert time.monotonic() < end
         time.sleep(0.01)
-    (told,) = yaml.safe_load(offers(graph.offered("/said")))
+    (profile,) = yaml.safe_load(offers(graph.offered("/said")))
     graph.node.destroy_publisher(publisher)
     graph.close()
     for_ever = {"sec": Infinite.nanoseconds // 10**9, "nsec": Infinite.nanoseconds % 10**9}
-    assert told == {
+    assert profile == {
         "history": "unknown", "depth": 0,  # which isn't announced
         "reliability": "reliable", "durability": "transient_local", "deadline": for_ever,
         "lifespan": for_ever, "liveliness": "automatic", "liveliness_lease_duration": for_ever,

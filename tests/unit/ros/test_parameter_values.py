@@ -82,11 +82,11 @@ def test_a_change_is_received_as_an_event_and_not_only_by_polling(watching, node
     judged = Judged(watching, leaf(between="0.5 to 1.5"))
     eventually(lambda: judged.now().state == "Healthy")
 
-    def heard() -> bool:
+    def is_received() -> bool:
         put(count=3)
         return bool(judged.now() and watching.own(EVENTS) and watching.own(EVENTS).contents)
 
-    eventually(heard)
+    eventually(is_received)
     monkeypatch.setattr("understudy.ros.observe.node_inquiries.PERIOD", 3600.0)
     asked = time.monotonic() + 2 * OFTEN  # the last request was due by then
     eventually(lambda: judged.now() and time.monotonic() > asked)
@@ -110,11 +110,11 @@ def test_other_parameters_and_other_nodes_have_no_influence(watching, node, proc
 
     asyncio.run(disturb())
     states = set()
-    told = watching.parameter(NODE, "speed").received
+    parameter = watching.parameter(NODE, "speed").received
 
     def later() -> bool:
         states.add(judged.now().state)
-        return watching.parameter(NODE, "speed").received > told + 1.0
+        return watching.parameter(NODE, "speed").received > parameter + 1.0
 
     eventually(later)
     assert states == {"Healthy"}

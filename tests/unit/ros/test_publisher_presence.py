@@ -123,8 +123,8 @@ def test_a_clock_step_moves_the_times_of_observations(watching, others, eventual
     judged = Judged(watching, {"publisher": {"topic": "/chat"}})
     publisher(others[0], "/chat")
     eventually(lambda: judged.now().state == "Healthy")
-    seen = watching.publishers("/chat")
-    before = seen.received
+    publishers = watching.publishers("/chat")
+    before = publishers.received
 
     class Stepped:
         monotonic = staticmethod(time.monotonic)
@@ -135,4 +135,4 @@ def test_a_clock_step_moves_the_times_of_observations(watching, others, eventual
 
     monkeypatch.setattr(module, "time", Stepped)
     watching.drain()
-    assert seen.received - before == pytest.approx(3600.0, abs=1.0)
+    assert publishers.received - before == pytest.approx(3600.0, abs=1.0)

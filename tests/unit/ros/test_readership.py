@@ -29,9 +29,9 @@ def test_readers_of_the_robot_are_reported_with_the_ports_at_which_they_listen(
     file = tmp_path / "profiles.xml"
     file.write_text(profiles_xml([Output(topic="/chat", type="std_msgs/msg/String")]))
     profile = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(file)}
-    given = {"address": MONITOR, "instances": {"w-1": INSTANCE}, "robots": [f"{COMPANION}/32"]}
+    arguments = {"address": MONITOR, "instances": {"w-1": INSTANCE}, "robots": [f"{COMPANION}/32"]}
 
-    def told(reason: str) -> str:
+    def expected(reason: str) -> str:
         end = time.monotonic() + 30
         while True:
             line = processes.line(monitor, end - time.monotonic())
@@ -42,11 +42,12 @@ def test_readers_of_the_robot_are_reported_with_the_ports_at_which_they_listen(
 
     with network() as lan:
         processes.node("obey", "/chat", "{}", inside=lan.host(INSTANCE))
-        monitor = processes.node(json.dumps(given), inside=lan.host(MONITOR), script="reading.py", **profile)
-        told("NobodyReads")
+        monitor = processes.node(json.dumps(arguments), inside=lan.host(MONITOR), script="reading.py", **profile)
+        expected("NobodyReads")
         processes.node("obey", "/chat", "{}", inside=lan.host(ROBOT), **profile)
         assert (
-            told("AtGatedPorts") == f"The robot reads at ports that the gate controls: /chat by /robot at {ROBOT}:7950."
+            expected("AtGatedPorts")
+            == f"The robot reads at ports that the gate controls: /chat by /robot at {ROBOT}:7950."
         )
         processes.node("obey", "/chat", "{}", inside=lan.host(COMPANION))
-        assert f"/chat by /robot at {COMPANION}:" in told("ReaderWithoutProfile")
+        assert f"/chat by /robot at {COMPANION}:" in expected("ReaderWithoutProfile")

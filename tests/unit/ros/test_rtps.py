@@ -26,7 +26,7 @@ OURS = bytes.fromhex("010f") + bytes(range(10))
 
 
 def samples(name: str) -> list[Sample]:
-    return [told for told in rtps.parse(RECORDED[name]) if isinstance(told, Sample)]
+    return [message for message in rtps.parse(RECORDED[name]) if isinstance(message, Sample)]
 
 
 def reader(name: str) -> Reader:
@@ -51,11 +51,11 @@ def test_a_reader_announces_its_own_port_or_that_of_its_participant() -> None:
 
 
 def test_a_server_announces_readers_of_others_and_a_participant_its_own() -> None:
-    (told,) = samples("server_gated")
-    assert told.writer == SERVER + rtps.SUBSCRIPTIONS[0]
-    for told in samples("multicast_two_readers"):
-        assert isinstance(told.entity, Reader)
-        assert told.writer[: rtps.PREFIX] == told.entity.guid[: rtps.PREFIX]
+    (message,) = samples("server_gated")
+    assert message.writer == SERVER + rtps.SUBSCRIPTIONS[0]
+    for message in samples("multicast_two_readers"):
+        assert isinstance(message.entity, Reader)
+        assert message.writer[: rtps.PREFIX] == message.entity.guid[: rtps.PREFIX]
 
 
 def test_one_datagram_may_contain_several_readers() -> None:
@@ -66,8 +66,8 @@ def test_one_datagram_may_contain_several_readers() -> None:
 
 
 def test_a_deleted_reader_announces_nothing() -> None:
-    (told,) = samples("reader_gone")
-    assert (told.number, told.entity) == (15, None)
+    (message,) = samples("reader_gone")
+    assert (message.number, message.entity) == (15, None)
 
 
 def test_heartbeats_and_gaps_are_parsed() -> None:
@@ -82,8 +82,8 @@ def test_heartbeats_and_gaps_are_parsed() -> None:
 
 def test_our_own_announcements_are_parsed_as_they_were_meant() -> None:
     at = Locator("10.9.0.4", 40000)
-    (told,) = rtps.parse(rtps.announcement(OURS, at, lease=10.0, kind="SUPER_CLIENT", to=SERVER))
-    assert told == Sample(OURS + rtps.PARTICIPANTS[0], 1, Participant(OURS, (at,), (at,)))
+    (message,) = rtps.parse(rtps.announcement(OURS, at, lease=10.0, kind="SUPER_CLIENT", to=SERVER))
+    assert message == Sample(OURS + rtps.PARTICIPANTS[0], 1, Participant(OURS, (at,), (at,)))
     assert list(rtps.parse(rtps.farewell(OURS, to=SERVER))) == [Sample(OURS + rtps.PARTICIPANTS[0], 2, None)]
 
 
@@ -93,8 +93,8 @@ def test_our_own_announcements_are_parsed_as_they_were_meant() -> None:
 )
 def test_an_acknowledgement_lists_the_missing_samples(missing: list[int], base: int, bits: str) -> None:
     writer = SERVER + rtps.SUBSCRIPTIONS[0]
-    told = rtps.acknowledgement(OURS, writer, missing, then=21, count=7)
-    body = told[20 + 16 + 4 :]  # after the header, whom it is for, and its own head
+    acknowledgement = rtps.acknowledgement(OURS, writer, missing, then=21, count=7)
+    body = acknowledgement[20 + 16 + 4 :]  # after the header, whom it is for, and its own head
     assert body[:8] == rtps.SUBSCRIPTIONS[1] + rtps.SUBSCRIPTIONS[0]
     assert int.from_bytes(body[12:16], "little") == base
     count = int.from_bytes(body[16:20], "little")

@@ -139,9 +139,9 @@ async def test_a_viewer_opens_and_closes_its_own_stream(stage: Stage, processes:
     viewer = processes.node("open", SPACE, "0.2", script="viewing.py")
     topic = await stage.line(processes, viewer)
     assert topic == f"{SPACE}/snapshot_streams/_snapshots_0"
-    told = [await stage.line(processes, viewer) for _ in range(4)]
-    assert any(not snapshot["changed"] for snapshot in told), "it comes though nothing has changed"
-    assert told[-1]["interval"] >= LEAST - 0.01
+    lines = [await stage.line(processes, viewer) for _ in range(4)]
+    assert any(not snapshot["changed"] for snapshot in lines), "it comes though nothing has changed"
+    assert lines[-1]["interval"] >= LEAST - 0.01
 
     async def answer(line: str) -> Any:
         viewer.stdin.write(f"{line}\n")

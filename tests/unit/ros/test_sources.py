@@ -101,14 +101,14 @@ def test_real_publishers_on_separate_hosts_are_distinguished(lan, processes):
 
     assert set(first["hosts"]["/cmd_vel"]) == {(VENDOR + host_id(ip)).hex() for ip in pods.values()}
     assert set(first["hosts"]["/scan"]) == {(VENDOR + host_id("10.77.100.1")).hex()}
-    for seen in (first, second):
-        assert all(seen["now"] - last < 1 for last in seen["last"]["/cmd_vel"].values())
+    for source in (first, second):
+        assert all(source["now"] - last < 1 for last in source["last"]["/cmd_vel"].values())
         # The robot's own topic counts whoever is in control, and is no pod's.
-        assert seen["counted"]["/scan"] == sum(count for count, _ in seen["hosts"]["/scan"].values())
-        assert seen["others"]["/scan"] is None
-    for seen, active, other in ((first, "primary", "fallback"), (second, "fallback", "primary")):
-        assert seen["counted"]["/cmd_vel"] == seen["hosts"]["/cmd_vel"][(VENDOR + host_id(pods[active])).hex()][0]
-        assert seen["others"]["/cmd_vel"][1] == other
+        assert source["counted"]["/scan"] == sum(count for count, _ in source["hosts"]["/scan"].values())
+        assert source["others"]["/scan"] is None
+    for source, active, other in ((first, "primary", "fallback"), (second, "fallback", "primary")):
+        assert source["counted"]["/cmd_vel"] == source["hosts"]["/cmd_vel"][(VENDOR + host_id(pods[active])).hex()][0]
+        assert source["others"]["/cmd_vel"][1] == other
     for pod in pods:
         assert 0 <= second["first"]["/cmd_vel"][pod] - second["switched"] < 1
 
@@ -121,8 +121,8 @@ def test_real_publishers_with_the_same_host_id_count_and_are_reported(lan, proce
     for ip in ips:
         processes.node("publish", "/cmd_vel", "20", inside=lan.host(ip))
     pods = dict(zip(("primary", "fallback"), ips, strict=True))
-    (seen,) = watched(processes, lan, topics={"/cmd_vel": 1}, instances=pods, active=["primary"])
-    assert seen["last"]["/cmd_vel"] == {"primary": None, "fallback": None}
-    assert seen["others"]["/cmd_vel"] is None
-    assert seen["counted"]["/cmd_vel"] > 30
-    assert "cannot be distinguished" in seen["problems"][0]
+    (source,) = watched(processes, lan, topics={"/cmd_vel": 1}, instances=pods, active=["primary"])
+    assert source["last"]["/cmd_vel"] == {"primary": None, "fallback": None}
+    assert source["others"]["/cmd_vel"] is None
+    assert source["counted"]["/cmd_vel"] > 30
+    assert "cannot be distinguished" in source["problems"][0]

@@ -55,13 +55,13 @@ def test_a_latched_message_is_captured_with_its_own_time(
 ) -> None:
     before = time.time()
     processes.node("pose", "/amcl_pose", "1.5", "0", "latched")
-    said = time.time()
+    stamp = time.time()
     time.sleep(1.0)
     capturing.follow({"/amcl_pose": POSE})
     message = took("/amcl_pose")
     assert (x(message), message.type, message.standing) == (1.5, POSE, "robot")
-    assert before <= message.taken_at <= said, "its age is that of the message, not of the subscription"
-    assert message.received_at >= said + 1.0
+    assert before <= message.taken_at <= stamp, "its age is that of the message, not of the subscription"
+    assert message.received_at >= stamp + 1.0
 
 
 def test_a_later_publisher_is_captured_with_and_without_latching(
@@ -164,13 +164,13 @@ def test_only_messages_of_the_active_instance_and_the_robot_are_captured(lan: Ne
     }
     capturer = processes.node("capture", json.dumps(wish), inside=lan.host("10.77.200.1"))
     first, second = json.loads(processes.line(capturer, 60))
-    assert {tuple(seen) for seen in first} == {
+    assert {tuple(sample) for sample in first} == {
         ("/amcl_pose", 1.0, "instance"),
         ("/odom", 10.0, ""),
         ("/docked", 3.0, ""),
     }
     # The standby's pose was said once, long before it took over, and holds.
-    assert {tuple(seen) for seen in second} == {
+    assert {tuple(sample) for sample in second} == {
         ("/amcl_pose", 2.0, "instance"),
         ("/odom", 20.0, ""),
         ("/docked", 3.0, ""),

@@ -33,7 +33,7 @@ def diagnoses() -> None:
     rclpy.init()
     node = Node("reader")
 
-    def told(array: DiagnosticArray) -> None:
+    def record(array: DiagnosticArray) -> None:
         for status in array.status:
             say(
                 {
@@ -46,7 +46,7 @@ def diagnoses() -> None:
                 }
             )
 
-    node.create_subscription(DiagnosticArray, "/diagnostics", told, 10)
+    node.create_subscription(DiagnosticArray, "/diagnostics", record, 10)
     print("ready", flush=True)
     rclpy.spin(node)
 

@@ -35,9 +35,9 @@ def header(stamp: float) -> bytes:
     return b"\0\1\0\0" + struct.pack("<iI", whole, rest)
 
 
-def text(data: bytes, said: str) -> bytes:
+def text(data: bytes, string: str) -> bytes:
     data += b"\0" * (-len(data) % 4)
-    return data + struct.pack("<I", len(said) + 1) + said.encode() + b"\0"
+    return data + struct.pack("<I", len(string) + 1) + string.encode() + b"\0"
 
 
 def odometry(x: float, stamp: float, heading: float = 0.0) -> bytes:
@@ -56,12 +56,18 @@ def kept(stamp: float, topic: str = "/amcl_pose") -> KeptSample:
 
 
 def drive(
-    carrier: Carrier, begin: float, end: float, *, speed: float = 0.5, said: Sequence[float] = (), writer: bytes = ROBOT
+    carrier: Carrier,
+    begin: float,
+    end: float,
+    *,
+    speed: float = 0.5,
+    stamps: Sequence[float] = (),
+    writer: bytes = ROBOT,
 ) -> None:
     """Odometry ten times a second, and a pose of some moments, each heard a little later; seconds since START."""
     for i in range(round((end - begin) * 10) + 1):
         t = begin + i / 10
-        for moment in said:
+        for moment in stamps:
             if t <= moment + 0.02 < t + 0.1:
                 carrier.kept("/amcl_pose", pose(START + moment), taken_at=START + moment + 0.02)
         data = odometry(speed * t, START + t)
@@ -83,7 +89,7 @@ def carrier() -> Carrier:
 
 
 def test_the_motion_contains_the_odometry_at_the_time_of_the_pose_and_now(carrier: Carrier) -> None:
-    drive(carrier, 0.0, 3.0, said=[1.04])
+    drive(carrier, 0.0, 3.0, stamps=[1.04])
     found = motion(carrier, 1.04, 3.05)
     assert found.missing == ""
     assert found.then.place == pytest.approx((0.52, 0.0, 0.0), abs=1e-6)
@@ -103,7 +109,7 @@ def test_a_pose_that_is_newer_than_odometry_waits_for_it(carrier: Carrier) -> No
 
 
 def test_the_odometry_of_a_pose_is_kept_as_long_as_the_pose(carrier: Carrier) -> None:
-    drive(carrier, 0.0, 60.0, said=[1.0, 2.0])
+    drive(carrier, 0.0, 60.0, stamps=[1.0, 2.0])
     assert motion(carrier, 2.0, 60.0).then.x == pytest.approx(1.0)
     carrier.prune({Key("Topic", "/amcl_pose"): [Version(START + 2.02, START + 2.02, pose(START + 2.0), POSE)]})
     assert motion(carrier, 2.0, 60.0).missing == ""
@@ -111,7 +117,7 @@ def test_the_odometry_of_a_pose_is_kept_as_long_as_the_pose(carrier: Carrier) ->
 
 
 def test_a_topic_that_is_not_propagated_is_unchanged(carrier: Carrier) -> None:
-    drive(carrier, 0.0, 1.0, said=[0.5])
+    drive(carrier, 0.0, 1.0, stamps=[0.5])
     chart = KeptSample("/map", "nav_msgs/msg/OccupancyGrid", START, b"", to="/map")
     state = KeptState((chart,))
     assert carrier.carry(state, START + 1) == state
@@ -140,7 +146,7 @@ def test_invalid_odometry_is_reported(carrier: Carrier) -> None:
 def test_a_restart_of_odometry_makes_earlier_poses_unusable(
     carrier: Carrier, x: float, writer: bytes, reason: str
 ) -> None:
-    drive(carrier, 0.0, 3.0, said=[1.0])
+    drive(carrier, 0.0, 3.0, stamps=[1.0])
     carrier.moved("/odom", ODOMETRY, odometry(x, START + 3.1), received_at=START + 3.11, writer=writer)
     assert_golden("kept_state", motion(carrier, 1.0, 3.2).missing, "/odom", f"{reason}")
     for i in range(2, 10):
@@ -161,7 +167,7 @@ def test_a_pose_that_must_be_propagated_and_cannot_be_is_omitted() -> None:
 
 
 def test_a_gap_in_odometry_is_reported(carrier: Carrier) -> None:
-    drive(carrier, 0.0, 2.0, said=[1.0])
+    drive(carrier, 0.0, 2.0, stamps=[1.0])
     drive(carrier, 6.0, 7.0, speed=0.5)
     assert motion(carrier, 1.0, 7.05).blind == pytest.approx(4.0)
     assert motion(carrier, 1.0, 10.0).blind == pytest.approx(4.0 + 2.99, abs=0.01)
@@ -178,7 +184,7 @@ def restarted(carrier: Carrier, folder: Path, state: State | None = None) -> Car
 
 
 def test_propagation_continues_after_a_restart_of_the_monitor(carrier: Carrier, tmp_path: Path) -> None:
-    drive(carrier, 0.0, 3.0, said=[1.0])
+    drive(carrier, 0.0, 3.0, stamps=[1.0])
     later = restarted(carrier, tmp_path)
     drive(later, 5.0, 6.0)
     found = motion(later, 1.0, 6.05)
@@ -188,20 +194,20 @@ def test_propagation_continues_after_a_restart_of_the_monitor(carrier: Carrier, 
 
 
 def test_a_restart_of_odometry_during_a_restart_of_the_monitor_is_detected(carrier: Carrier, tmp_path: Path) -> None:
-    drive(carrier, 0.0, 3.0, said=[1.0])
+    drive(carrier, 0.0, 3.0, stamps=[1.0])
     later = restarted(carrier, tmp_path)
     drive(later, 5.0, 6.0, writer=OTHER)
     assert_golden("kept_state", motion(later, 1.0, 6.05).missing, "another publisher")
 
 
 def test_saved_odometry_of_another_topic_is_not_used(carrier: Carrier, tmp_path: Path) -> None:
-    drive(carrier, 0.0, 3.0, said=[1.0])
+    drive(carrier, 0.0, 3.0, stamps=[1.0])
     later = restarted(carrier, tmp_path, policy(topic="/wheels"))
     assert_golden("kept_state", motion(later, 1.0, 3.0).missing, "/wheels")
 
 
 def test_damaged_data_is_ignored(carrier: Carrier) -> None:
-    drive(carrier, 0.0, 3.0, said=[1.0])
+    drive(carrier, 0.0, 3.0, stamps=[1.0])
     packed = {
         key: [Version(v.taken_at, v.good_from, v.data[:-3]) for v in vs] for key, vs in carrier.packed(1.0).items()
     }
@@ -212,7 +218,7 @@ def test_damaged_data_is_ignored(carrier: Carrier) -> None:
 
 
 def test_a_changed_policy_drops_odometry_that_it_does_not_use(carrier: Carrier) -> None:
-    drive(carrier, 0.0, 3.0, said=[1.0])
+    drive(carrier, 0.0, 3.0, stamps=[1.0])
     carrier.follow(policy(required=True))
     assert motion(carrier, 1.0, 3.0).missing == "", "by the same odometry"
     carrier.follow(State())
@@ -221,7 +227,7 @@ def test_a_changed_policy_drops_odometry_that_it_does_not_use(carrier: Carrier) 
 
 
 def test_a_clock_step_does_not_invalidate_stamped_odometry(carrier: Carrier) -> None:
-    drive(carrier, 0.0, 3.0, said=[1.0])
+    drive(carrier, 0.0, 3.0, stamps=[1.0])
     carrier.shift(3600.0)
     found = motion(carrier, 1.0, 3603.05)
     assert (found.missing, found.blind) == ("", 0.0)
@@ -230,7 +236,7 @@ def test_a_clock_step_does_not_invalidate_stamped_odometry(carrier: Carrier) -> 
 def test_memory_is_bounded(carrier: Carrier) -> None:
     sizes = []
     for i in range(20):
-        drive(carrier, 10.0 * i, 10.0 * i + 9.9, said=[10.0 * i + j for j in range(1, 9)])
+        drive(carrier, 10.0 * i, 10.0 * i + 9.9, stamps=[10.0 * i + j for j in range(1, 9)])
         carrier.prune({Key("Topic", "/amcl_pose"): [Version(0, 0, pose(START + 10.0 * i + 8.0), POSE)]})
         sizes.append(sum(len(v.data) for versions in carrier.packed(1.0).values() for v in versions))
     assert len(set(sizes)) == 1, "of one version there is one moment"

@@ -14,11 +14,11 @@ def digest(data: bytes) -> str:
 
 
 def archive(
-    path: Path, layers: list[bytes], name: str | None = "localhost/thing:dev", said: list[str] | None = None
+    path: Path, layers: list[bytes], name: str | None = "localhost/thing:dev", digests: list[str] | None = None
 ) -> Path:
     """An image as `docker save` writes it."""
     config = json.dumps(
-        {"rootfs": {"type": "layers", "diff_ids": said or [digest(layer) for layer in layers]}}
+        {"rootfs": {"type": "layers", "diff_ids": digests or [digest(layer) for layer in layers]}}
     ).encode()
     members = {f"{number}.tar": layer for number, layer in enumerate(layers)}
     listing = [{"Config": "config.json", "RepoTags": [name] if name else None, "Layers": list(members)}]

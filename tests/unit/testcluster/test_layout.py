@@ -69,7 +69,7 @@ def test_all_addresses_of_a_cluster_are_in_its_network_and_distinct(monkeypatch:
 
 
 @pytest.mark.parametrize(
-    ("variable", "value", "said"),
+    ("variable", "value", "message"),
     [
         ("UNDERSTUDY_CLUSTER_NETWORK", "10.0.0.0/24", "a /18 is needed"),
         ("UNDERSTUDY_CLUSTER_NETWORK", "10.1.2.3/18", "host bits"),
@@ -80,10 +80,10 @@ def test_all_addresses_of_a_cluster_are_in_its_network_and_distinct(monkeypatch:
     ],
 )
 def test_an_invalid_setting_is_reported_with_its_name(
-    monkeypatch: pytest.MonkeyPatch, variable: str, value: str, said: str
+    monkeypatch: pytest.MonkeyPatch, variable: str, value: str, message: str
 ) -> None:
     monkeypatch.setenv(variable, value)
-    with pytest.raises(BadSetting, match=said) as refused:
+    with pytest.raises(BadSetting, match=message) as refused:
         layout.decide("one")
     assert f"{variable}={value}" in str(refused.value)
 

@@ -67,7 +67,7 @@ def test_unused_layers_are_removed(tmp_path: Path) -> None:
 
 def test_a_layer_with_a_wrong_digest_is_refused(tmp_path: Path) -> None:
     with pytest.raises(store.NotAnImage, match=r"layer 0\.tar has the hash sha256:.*configuration says sha256:"):
-        store.add(archive(tmp_path / "image.tar", [b"forged"], said=[digest(b"code")]))
+        store.add(archive(tmp_path / "image.tar", [b"forged"], digests=[digest(b"code")]))
     assert store.references() == []
 
 

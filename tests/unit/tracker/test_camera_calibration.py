@@ -89,14 +89,14 @@ def test_a_mistake_is_reported_with_its_field(text: str, expected: str):
 )
 def test_any_calibration_file_is_used_or_refused_with_a_message(key: str, value: object):
     text = changed(**{key: value})
-    said = "a.yaml"
+    message = "a.yaml"
     try:
         found = load(text, "a.yaml")
     except ConfigurationError as error:
-        said = str(error)
+        message = str(error)
     else:
         assert found.matrix.shape == (3, 3)
-    assert said.startswith("a.yaml")
+    assert message.startswith("a.yaml")
 
 
 def test_the_calibration_beside_the_configuration_is_checked_with_it(

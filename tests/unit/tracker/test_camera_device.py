@@ -111,11 +111,11 @@ def test_a_rendered_video_becomes_poses(filmed: tuple[Path, list[Any]], footage:
     file, poses = filmed
     locator = Locator(load(CONFIGURATION))
     locator.calibrate(Calibration(np.array(Scene.matrix()).reshape(3, 3), np.zeros(5), False, *SIZE))
-    begun, found, last = time.time_ns(), footage(file), 0
+    started_at, found, last = time.time_ns(), footage(file), 0
     places = []
     for _ in range(8):
         frame = next_of(found)
-        assert begun <= frame.stamp <= time.time_ns()
+        assert started_at <= frame.stamp <= time.time_ns()
         assert frame.stamp > last
         last = frame.stamp
         places += [sighting.placed for sighting in locator.see(frame.image, frame.stamp / 1e9)]
@@ -162,15 +162,15 @@ def test_opencv_is_built_with_v4l():
 
 
 def test_a_device_that_is_not_a_camera_is_reported(footage: Callable[..., Footage]):
-    said = trouble_of(footage("/dev/null"))
-    assert_golden("tracker", said.partition(" (")[0], "camera.device.path", "/dev/null")
+    trouble = trouble_of(footage("/dev/null"))
+    assert_golden("tracker", trouble.partition(" (")[0], "camera.device.path", "/dev/null")
 
 
 def test_a_file_that_is_not_a_video_is_reported(tmp_path: Path, footage: Callable[..., Footage]):
     file = tmp_path / "notes.txt"
     file.write_text("no video")
-    said = trouble_of(footage(file))
-    assert_golden("tracker", said.replace(str(file), "FILE"), "camera.device.path", "FILE")
+    trouble = trouble_of(footage(file))
+    assert_golden("tracker", trouble.replace(str(file), "FILE"), "camera.device.path", "FILE")
 
 
 @pytest.mark.parametrize(
@@ -187,8 +187,8 @@ def test_a_file_that_is_not_a_video_is_reported(tmp_path: Path, footage: Callabl
     ],
 )
 def test_a_camera_that_cannot_be_opened_is_reported_with_a_solution(number: int, expected: str):
-    said = refused("/dev/video0", OSError(number, os.strerror(number)))
-    assert re.match(f"camera.device.path: /dev/video0 cannot be opened: {expected}", said)
+    trouble = refused("/dev/video0", OSError(number, os.strerror(number)))
+    assert re.match(f"camera.device.path: /dev/video0 cannot be opened: {expected}", trouble)
 
 
 @pytest.mark.parametrize(

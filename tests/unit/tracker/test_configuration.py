@@ -135,14 +135,14 @@ ANYTHING = st.recursive(
 
 
 def used_or_refused(text: str) -> None:
-    said = ""
+    message = ""
     try:
         load(text)
     except ConfigurationError as error:
-        said = str(error)
+        message = str(error)
     else:
         return
-    assert said
+    assert message
 
 
 @settings(max_examples=300, deadline=None)

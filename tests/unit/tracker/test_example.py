@@ -109,11 +109,11 @@ def test_only_the_camera_detects_a_robot_that_stands_due_to_a_wrong_remapping(
     def drives() -> bool:
         return bool((motions := log().motions) and motions[-1].speed > 0.25 and motions[-1].y < 0.2)
 
-    def seen() -> int:
+    def poses() -> int:
         judged.now()
         return watching.topic("/tracker/robot/odometry").count
 
-    eventually(seen, "the robot, which stands, is seen")
+    eventually(poses, "the robot, which stands, is seen")
     first, _ = running.start("tracker_application", HOSTNAME="first")
     eventually(lambda: judged.now().state == "Healthy" and drives(), "it is driven, and all is well")
 
@@ -126,9 +126,9 @@ def test_only_the_camera_detects_a_robot_that_stands_due_to_a_wrong_remapping(
     ), "what is inside is well"
     end = log().motions[-1]
     assert abs(end.speed) < 0.03
-    told = [c for c in log().of("first") if c.received > time.time() - 2.0][-5:]
-    assert len(told) == 5
-    assert {(c.linear, c.angular) for c in told} == {(0.0, 0.0)}, "and commands go on to come to the robot"
+    commands = [c for c in log().of("first") if c.received > time.time() - 2.0][-5:]
+    assert len(commands) == 5
+    assert {(c.linear, c.angular) for c in commands} == {(0.0, 0.0)}, "and commands go on to come to the robot"
 
     first.kill()
     running.start("tracker_application", HOSTNAME="second")

@@ -66,14 +66,14 @@ def test_an_unusable_image_is_refused_with_the_reason(changes: dict[str, Any], e
 
 
 def info(**changes: Any) -> Any:
-    said = {
+    parameters = {
         "width": 640,
         "height": 480,
         "k": [500.0, 0.0, 320.0, 0.0, 510.0, 240.0, 0.0, 0.0, 1.0],
         "d": [-0.2, 0.05, 0.001, -0.002, 0.0],
         "distortion_model": "plumb_bob",
     }
-    return CameraInfo(**{**said, **changes})
+    return CameraInfo(**{**parameters, **changes})
 
 
 @pytest.mark.parametrize(

@@ -97,9 +97,9 @@ def test_the_tracker_has_the_pose_of_the_example_camera():
     from understudy.tracker.image_messages import Calibration
     from understudy.tracker.robot_location import Locator
 
-    told = configuration()
-    assert (told.camera.image, told.camera.calibration) == (IMAGES, CALIBRATION)
-    locator = Locator(told)
+    configured = configuration()
+    assert (configured.camera.image, configured.camera.calibration) == (IMAGES, CALIBRATION)
+    locator = Locator(configured)
     locator.calibrate(Calibration(np.array(Scene.matrix(SIZE)).reshape(3, 3), np.zeros(5), False, *SIZE))
     scene, random = Scene(START, CAMERA, seed=3, size=SIZE), np.random.default_rng(3)
     missed = 0

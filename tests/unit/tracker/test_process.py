@@ -62,13 +62,15 @@ class Camera:
         self.poses: dict[int, Any] = {}
         self.odometry: dict[int, Any] = {}
         node.create_subscription(
-            PoseWithCovarianceStamped, "/tracker/robot/pose", lambda said: self._keep(self.poses, said), 100
+            PoseWithCovarianceStamped, "/tracker/robot/pose", lambda message: self._keep(self.poses, message), 100
         )
-        node.create_subscription(Odometry, "/tracker/robot/odometry", lambda said: self._keep(self.odometry, said), 100)
+        node.create_subscription(
+            Odometry, "/tracker/robot/odometry", lambda message: self._keep(self.odometry, message), 100
+        )
 
     @staticmethod
-    def _keep(kept: dict[int, Any], said: Any) -> None:
-        kept[said.header.stamp.sec * 10 + said.header.stamp.nanosec // 100_000_000] = said
+    def _keep(kept: dict[int, Any], message: Any) -> None:
+        kept[message.header.stamp.sec * 10 + message.header.stamp.nanosec // 100_000_000] = message
 
     def show(self, image: Any, tenths: int, *, answered: bool = True) -> Any:
         """Show an image of a time, in tenths of a second, until its pose has come."""
@@ -76,10 +78,10 @@ class Camera:
         from tracker_scene import Scene
 
         message, info = Image(), CameraInfo()
-        for said in (message, info):
-            said.header.stamp.sec, said.header.stamp.nanosec = tenths // 10, tenths % 10 * 100_000_000
-            said.header.frame_id = "camera"
-            said.height, said.width = image.shape[:2]
+        for published in (message, info):
+            published.header.stamp.sec, published.header.stamp.nanosec = tenths // 10, tenths % 10 * 100_000_000
+            published.header.frame_id = "camera"
+            published.height, published.width = image.shape[:2]
         message.encoding, message.step = "mono8", image.shape[1]
         message.data = image.tobytes()
         info.k, info.d, info.distortion_model = Scene.matrix(), [0.0] * 5, "plumb_bob"

@@ -53,11 +53,11 @@ def test_the_reported_uncertainty_of_a_speed_is_not_too_small():
     try:
         while scene.time < 5.0:
             supervised.step((0.0, 0.0))
-            said = supervised.odometry
-            if said is not None and said is not before:
-                wrong.append(said.twist.twist.linear.x)
-                stated.append(said.twist.covariance[0])
-                before = said
+            pose = supervised.odometry
+            if pose is not None and pose is not before:
+                wrong.append(pose.twist.twist.linear.x)
+                stated.append(pose.twist.covariance[0])
+                before = pose
     finally:
         scene.close()
     assert len(wrong) > 30

@@ -89,7 +89,7 @@ class Replay:
 
     def trace(self, script: list[tuple[float, str]]) -> list[Any]:
         """Verdict, deadline and what counts after each event, and the verdict at each deadline that comes before the next."""
-        told: list[Any] = []
+        events: list[Any] = []
         for index, (time, what) in enumerate(script):
             now = START + time
             status = f"{what}/_action/status"
@@ -98,17 +98,17 @@ class Replay:
             elif what in ACTIONS and self._tasks.pop(status, None) is None:
                 self._tasks[status] = now
             following = script[index + 1][0] if index + 1 < len(script) else time + 10
-            told += [(time, what), *self._look(now)]
-            deadline = told[-1]
+            events += [(time, what), *self._look(now)]
+            deadline = events[-1]
             if deadline is not None and deadline < START + following:
-                told += self._look(deadline)
-        return told
+                events += self._look(deadline)
+        return events
 
     def _look(self, now: float) -> list[Any]:
-        seen = RecordedObservations(self._records, self._tasks)
-        verdict = self._tree.evaluate(seen, now=now, since=START)
-        counting = self._tree.counting(seen, now=now, since=START)
-        return [verdict, counting, self._tree.deadline(seen, now=now, since=START)]
+        observations = RecordedObservations(self._records, self._tasks)
+        verdict = self._tree.evaluate(observations, now=now, since=START)
+        counting = self._tree.counting(observations, now=now, since=START)
+        return [verdict, counting, self._tree.deadline(observations, now=now, since=START)]
 
 
 SCRIPTS = st.lists(

@@ -50,8 +50,8 @@ class ScenarioWriter:
         if "inverter" in node:
             return self._node(node["inverter"], indent, [*modifiers, "inverter()"])
         if "while" in node:
-            given = {"while": node["while"], **({"settle": node["settle"]} if "settle" in node else {})}
-            call = f"while_task_active({self._arguments(TASK, given)})"
+            condition = {"while": node["while"], **({"settle": node["settle"]} if "settle" in node else {})}
+            call = f"while_task_active({self._arguments(TASK, condition)})"
             return self._node(node["do"], indent, [*modifiers, call])
         begin = " " * indent
         label = f"{begin}{self._label(node['name'])}: " if "name" in node else begin
@@ -73,7 +73,7 @@ class ScenarioWriter:
         return name if plain else f"|{name}|"
 
     def _arguments(self, behavior: Behavior, node: Mapping[str, Any]) -> str:
-        given: dict[str, str] = {}
+        arguments: dict[str, str] = {}
         for argument in behavior.arguments.values():
             value: Any = node
             for key in argument.where.split("."):
@@ -82,12 +82,14 @@ class ScenarioWriter:
                 continue
             text = self._rate(argument, value) if argument.name in RATES else self._value(argument.type, value)
             if text is not None:
-                given[argument.name] = self._parameter(argument.type, text)
+                arguments[argument.name] = self._parameter(argument.type, text)
         names = list(behavior.arguments)
         count = 0
-        while count < len(given) and names[count] in given and self._choose(2) == 1:
+        while count < len(arguments) and names[count] in arguments and self._choose(2) == 1:
             count += 1
-        parts = [given.pop(name) for name in names[:count]] + [f"{name}: {value}" for name, value in given.items()]
+        parts = [arguments.pop(name) for name in names[:count]] + [
+            f"{name}: {value}" for name, value in arguments.items()
+        ]
         return (", ", ",\n\n   ")[self._choose(5) == 4].join(parts)
 
     def _parameter(self, type_: str, text: str) -> str:

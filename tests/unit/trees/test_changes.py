@@ -30,8 +30,8 @@ def states(world: World, now: float) -> list[str]:
 @given(a=times, b=times, c=times)
 def test_no_leaf_changes_before_the_predicted_moment(a: list[int], b: list[int], c: list[int]) -> None:
     world = World(TREE, grace=2.0)
-    for topic, heard in (("/a", a), ("/b", b), ("/c", c)):
-        for at in sorted(heard):
+    for topic, stamps in (("/a", a), ("/b", b), ("/c", c)):
+        for at in sorted(stamps):
             world.hear(topic, at / 1000)
     now, looks = 5.0, 0
     while (change := world.tree.next_change(world.observed(), now=START + now, since=START)) is not None:

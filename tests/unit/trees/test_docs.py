@@ -70,10 +70,10 @@ def test_the_documented_models_match_the_nodes():
     (shown,) = re.findall(r"```xml\n(.*?)```", PAGE, re.DOTALL)
     tree = '<BehaviorTree ID="Healthy"><Topic topic="/scan" gap="1s"/></BehaviorTree>'
     load_xml(f'<root BTCPP_format="4">{tree}{shown}</root>')
-    told = {
+    documented = {
         model.attributes["ID"]: [port.attributes["name"] for port in model.children] for model in parse(shown).children
     }
-    assert told == {tag: list(NODES[tag].ports) for tag in (*map(tag_of, LEAVES), "WhileTaskActive")}
+    assert documented == {tag: list(NODES[tag].ports) for tag in (*map(tag_of, LEAVES), "WhileTaskActive")}
 
 
 PROCEDURES = (Path(__file__).parents[3] / "docs" / "procedures.md").read_text()
@@ -87,8 +87,8 @@ def test_the_documented_procedure_loads():
 
 
 def test_the_page_lists_every_node_of_a_procedure():
-    told = set(re.findall(r"`([a-z_]+)`", PROCEDURES))
-    assert {*COMPOSITES, *DECORATORS, *STEPS, *CONDITIONS} <= told
+    documented = set(re.findall(r"`([a-z_]+)`", PROCEDURES))
+    assert {*COMPOSITES, *DECORATORS, *STEPS, *CONDITIONS} <= documented
 
 
 def test_the_documented_mistakes_in_procedures_are_reported():
@@ -125,13 +125,13 @@ def test_the_documented_mistake_in_an_xml_procedure_is_reported():
 
 def test_the_documented_models_of_steps_match_the_nodes():
     (shown,) = re.findall(r"```xml\n(<TreeNodesModel>.*?)```", PROCEDURES, re.DOTALL)
-    told = {
+    documented = {
         model.attributes["ID"]: [port.attributes["name"] for port in model.children] for model in parse(shown).children
     }
     own = {
         tag: node for tag, node in steps.PROCEDURES.nodes.items() if tag not in NODES and not tag.startswith("Async")
     }
-    assert told == {tag: list(node.ports) for tag, node in own.items()}
+    assert documented == {tag: list(node.ports) for tag, node in own.items()}
     tree = '<BehaviorTree ID="BringUp"><ResendGoals/></BehaviorTree>'
     assert compose("xml", f'<root BTCPP_format="4">{tree}{shown}</root>', check=False, path="bringUp")
 

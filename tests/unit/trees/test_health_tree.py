@@ -272,34 +272,34 @@ def test_the_verdict_becomes_worse_exactly_at_the_deadline(tree, arrivals, grace
     world = World(numbered(tree, [0]), grace=grace, since=since)
     for topic in world.records:
         world.arrive(topic, *arrivals.get(topic, []))
-    seen = RecordedObservations(world.records)
+    observations = RecordedObservations(world.records)
     now = START + max([since, *(record.last - START for record in world.records.values() if record.last)]) + wait
 
     def badness(moment: float) -> int:
-        return SEVERITY[world.tree.evaluate(seen, now=moment, since=world.since).state]
+        return SEVERITY[world.tree.evaluate(observations, now=moment, since=world.since).state]
 
     present = badness(now)
-    moment = world.tree.deadline(seen, now=now, since=world.since)
+    moment = world.tree.deadline(observations, now=now, since=world.since)
     if moment is None:
         later = now
         for step in (0.01, 0.5, 1.0, 5.0, 40.0):
             later += step
             # By time alone only: the memory that a rate has held may be fresh from the moment before.
             fresh = load(numbered(tree, [0]), grace=grace)
-            fresh.evaluate(seen, now=now, since=world.since)
-            assert SEVERITY[fresh.evaluate(seen, now=later, since=world.since).state] <= present
+            fresh.evaluate(observations, now=now, since=world.since)
+            assert SEVERITY[fresh.evaluate(observations, now=later, since=world.since).state] <= present
         return
     assert moment > now
     middle = now + between * (moment - now)
     fresh = load(numbered(tree, [0]), grace=grace)
-    fresh.evaluate(seen, now=now, since=world.since)
+    fresh.evaluate(observations, now=now, since=world.since)
     if middle < moment:
-        assert SEVERITY[fresh.evaluate(seen, now=middle, since=world.since).state] <= present
+        assert SEVERITY[fresh.evaluate(observations, now=middle, since=world.since).state] <= present
     before = math.nextafter(moment, 0)
     fresh = load(numbered(tree, [0]), grace=grace)
-    fresh.evaluate(seen, now=now, since=world.since)
+    fresh.evaluate(observations, now=now, since=world.since)
     assume(before > now)
-    assert SEVERITY[fresh.evaluate(seen, now=before, since=world.since).state] <= present
+    assert SEVERITY[fresh.evaluate(observations, now=before, since=world.since).state] <= present
     fresh = load(numbered(tree, [0]), grace=grace)
-    fresh.evaluate(seen, now=now, since=world.since)
-    assert SEVERITY[fresh.evaluate(seen, now=moment, since=world.since).state] > present
+    fresh.evaluate(observations, now=now, since=world.since)
+    assert SEVERITY[fresh.evaluate(observations, now=moment, since=world.since).state] > present

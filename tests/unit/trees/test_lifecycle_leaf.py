@@ -137,18 +137,20 @@ def test_xml_gives_the_same_leaf_as_the_short_form():
 @settings(max_examples=100, deadline=None)
 @given(
     node=st.sampled_from([leaf(), leaf(**{"for": "1s"}), {"inverter": leaf(**{"for": "700ms"})}]),
-    told=st.lists(st.tuples(st.integers(0, 600), st.sampled_from(["active", "inactive", "", None])), max_size=12),
+    transitions=st.lists(
+        st.tuples(st.integers(0, 600), st.sampled_from(["active", "inactive", "", None])), max_size=12
+    ),
     tasked=st.booleans(),
     task=st.none() | st.integers(0, 600),
     since=st.integers(0, 300),
     now=st.integers(0, 600),
 )
-def test_the_deadline_is_the_first_moment_with_a_worse_verdict(node, told, tasked, task, since, now):
+def test_the_deadline_is_the_first_moment_with_a_worse_verdict(node, transitions, tasked, task, since, now):
     """Times in hundredths of a second."""
     assume(now >= since)
     world = World({**TASK, "do": node} if tasked else node, grace=2.0, since=since / 100)
     world.task = task / 100 if task is not None and task <= now else None
-    for time, state in sorted(told, key=lambda one: one[0]):
+    for time, state in sorted(transitions, key=lambda one: one[0]):
         if time <= now:
             world.tell(AMCL, time / 100, state).at(time / 100)
     assert_deadline_is_the_first_worse_moment(world, now / 100)

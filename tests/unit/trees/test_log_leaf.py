@@ -37,8 +37,8 @@ def world(**more: Any) -> World:
 
 
 def say(world: World, time: float, **more: Any) -> World:
-    said = {"level": 40, "name": "controller_server", "msg": "Failed to make progress", **more}
-    return world.hear("/rosout", time, Log(**said))
+    entry = {"level": 40, "name": "controller_server", "msg": "Failed to make progress", **more}
+    return world.hear("/rosout", time, Log(**entry))
 
 
 def test_the_leaf_fails_with_a_message_and_recovers_after_the_quiet_time():
@@ -70,7 +70,7 @@ def test_fewer_than_the_count_within_the_window_are_no_failure():
 
 
 @pytest.mark.parametrize(
-    ("pattern", "said"),
+    ("pattern", "entry"),
     [
         ({"level": "ERROR"}, {"level": 30}),
         ({"level": "FATAL"}, {"level": 40}),
@@ -84,14 +84,14 @@ def test_fewer_than_the_count_within_the_window_are_no_failure():
         ({"level": "ERROR", "node": "/planner_server", "says": "progress"}, {"file": "planner_server.cpp"}),
     ],
 )
-def test_other_messages_have_no_influence(pattern, said):
+def test_other_messages_have_no_influence(pattern, entry):
     judged = World({"log": pattern}, grace=5.0)
     for time in range(10, 30):
-        assert say(judged, time, **said).at(time).state == "Healthy"
+        assert say(judged, time, **entry).at(time).state == "Healthy"
 
 
 @pytest.mark.parametrize(
-    ("pattern", "said"),
+    ("pattern", "entry"),
     [
         ({"level": "ERROR"}, {"level": 50}),
         ({"level": "DEBUG"}, {}),
@@ -104,9 +104,9 @@ def test_other_messages_have_no_influence(pattern, said):
         ({"level": "WARN", "node": "/controller_server", "says": "progress"}, {}),
     ],
 )
-def test_matching_messages_fail(pattern, said):
+def test_matching_messages_fail(pattern, entry):
     judged = World({"log": pattern}, grace=5.0)
-    assert say(judged, 10.0, **said).at(10.0).state == "Failed"
+    assert say(judged, 10.0, **entry).at(10.0).state == "Failed"
 
 
 def test_the_reason_names_all_parts_of_the_pattern():
@@ -168,11 +168,11 @@ def test_a_message_that_cannot_be_read_is_ignored():
 
 def test_a_malicious_text_does_not_slow_down_a_pattern():
     judged = World({"log": {"says": "*".join(["a" * 8] * 20) + "*b"}}, grace=5.0)
-    begun = clock.process_time()
+    started_at = clock.process_time()
     for time in range(20):
         say(judged, 10.0 + time, msg="a" * 200_000)
     assert judged.at(30.0).state == "Healthy"
-    assert clock.process_time() - begun < 5.0, "a backtracking search would not be back in our time"
+    assert clock.process_time() - started_at < 5.0, "a backtracking search would not be back in our time"
 
 
 @pytest.mark.parametrize(
@@ -257,17 +257,17 @@ def test_xml_gives_the_same_leaf_as_the_short_form():
     node=st.sampled_from(
         [leaf(quiet="700ms"), leaf(count=2, window="1s"), {"inverter": leaf(count=2, window="1s", quiet="400ms")}]
     ),
-    said=st.lists(st.tuples(st.integers(0, 600), st.sampled_from([20, 40])), max_size=12),
+    entries=st.lists(st.tuples(st.integers(0, 600), st.sampled_from([20, 40])), max_size=12),
     tasked=st.booleans(),
     task=st.none() | st.integers(0, 600),
     since=st.integers(0, 300),
     now=st.integers(0, 600),
 )
-def test_the_deadline_is_the_first_moment_with_a_worse_verdict(node, said, tasked, task, since, now):
+def test_the_deadline_is_the_first_moment_with_a_worse_verdict(node, entries, tasked, task, since, now):
     """Times in hundredths of a second."""
     assume(now >= since)
     judged = World({**TASK, "do": node} if tasked else node, grace=2.0, since=since / 100)
-    for time, level in sorted(said):
+    for time, level in sorted(entries):
         if time <= now:
             judged.task = task / 100 if task is not None and task <= time else None
             say(judged, time / 100, level=level).at(time / 100)
@@ -277,18 +277,18 @@ def test_the_deadline_is_the_first_moment_with_a_worse_verdict(node, said, taske
 
 @settings(max_examples=150, deadline=None)
 @given(
-    said=st.lists(st.integers(600, 3000), max_size=40),
+    entries=st.lists(st.integers(600, 3000), max_size=40),
     count=st.integers(2, 4),
     window=st.integers(1, 300),
     quiet=st.integers(1, 300),
     looks=st.lists(st.integers(600, 3300), max_size=10),
 )
-def test_window_and_quiet_time_do_not_depend_on_how_often_the_tree_is_evaluated(said, count, window, quiet, looks):
+def test_window_and_quiet_time_do_not_depend_on_how_often_the_tree_is_evaluated(entries, count, window, quiet, looks):
     """Times in hundredths of a second; window and quiet end between them, where floats don't decide."""
     judged = world(count=count, window=f"{window * 10 + 5}ms", quiet=f"{quiet * 10 + 5}ms")
     counted: list[int] = []
     bad = False
-    for time, looked in sorted([(time, False) for time in said] + [(time, True) for time in looks]):
+    for time, looked in sorted([(time, False) for time in entries] + [(time, True) for time in looks]):
         if bad and time > counted[-1] + quiet:
             bad, counted = False, []
         if looked:

@@ -62,7 +62,7 @@ class Robot:
 
     def trace(self, tree: HealthTree) -> list[tuple[float, Verdict, float | None]]:
         """What the tree says ten times a second, and when it says that it would be worse."""
-        told = []
+        verdicts = []
         records = {topic.name: TopicRecord(topic.window) for topic in tree.topics if not topic.task}
         for index in range(int(self.until * 10) + 1):
             time = index / 10
@@ -70,11 +70,11 @@ class Robot:
                 for moment in self.heard(topic, (index - 1) / 10, time):
                     record.add(START + moment)
             active = {status: START + begin for status, (begin, end) in self.tasks.items() if begin <= time < end}
-            seen = RecordedObservations(records, active)
+            observations = RecordedObservations(records, active)
             now = START + time
-            verdict = tree.evaluate(seen, now=now, since=START)
-            told.append((time, verdict, tree.deadline(seen, now=now, since=START)))
-        return told
+            verdict = tree.evaluate(observations, now=now, since=START)
+            verdicts.append((time, verdict, tree.deadline(observations, now=now, since=START)))
+        return verdicts
 
 
 def policy(form: str) -> dict[str, Any]:

@@ -41,8 +41,8 @@ def drive(
     world: World,
     begin: float,
     end: float,
-    seen: float | None,
-    said: float | None = 0.3,
+    measured: float | None,
+    commanded: float | None = 0.3,
     *,
     stamped: bool = False,
     look: bool = True,
@@ -50,10 +50,10 @@ def drive(
     """Commands and odometry at 10 Hz from one time to another, each looked at as it comes."""
     for tick in range(round((end - begin) * 10)):
         now = begin + tick / 10
-        if said is not None:
-            world.hear(COMMANDS, now, TwistStamped(twist(said)) if stamped else twist(said))
-        if seen is not None:
-            world.hear(ODOMETRY, now + 0.01, odometry(seen))
+        if commanded is not None:
+            world.hear(COMMANDS, now, TwistStamped(twist(commanded)) if stamped else twist(commanded))
+        if measured is not None:
+            world.hear(ODOMETRY, now + 0.01, odometry(measured))
         if look:
             world.at(now + 0.01)
     return world
@@ -79,8 +79,8 @@ def test_several_messages_in_one_evaluation_are_all_considered():
 
 def test_a_robot_that_is_commanded_to_stop_may_stand():
     world = drive(World(leaf()), 1.0, 4.0, 0.3)
-    drive(world, 4.0, 4.5, 0.2, said=0.0)
-    assert drive(world, 4.5, 9.0, 0.0, said=0.0).at(9.0).state == "Healthy"
+    drive(world, 4.0, 4.5, 0.2, commanded=0.0)
+    assert drive(world, 4.5, 9.0, 0.0, commanded=0.0).at(9.0).state == "Healthy"
 
 
 def test_a_small_slip_is_tolerated():
@@ -105,7 +105,7 @@ def test_without_observations_or_commands_the_leaf_is_healthy():
     world = World(leaf(), grace=2)
     assert world.at(0.5).state == "Healthy"
     assert drive(world, 1.0, 9.0, None).at(9.0).state == "Healthy"
-    assert drive(World(leaf()), 1.0, 9.0, 0.5, said=None).at(9.0).state == "Healthy"
+    assert drive(World(leaf()), 1.0, 9.0, 0.5, commanded=None).at(9.0).state == "Healthy"
 
 
 def test_the_node_reports_why_it_is_undecided():
@@ -179,7 +179,7 @@ def test_after_a_switchover_odometry_is_expected_and_commands_are_not():
 def test_the_leaf_and_a_gap_of_its_topic_are_judged_separately():
     world = drive(World({"parallel": [leaf(), {"topic": {"name": COMMANDS, "gap": "500ms"}}]}), 1.0, 3.0, 0.3)
     assert world.at(3.0).state == "Healthy"
-    drive(world, 3.0, 4.0, 0.3, said=None)
+    drive(world, 3.0, 4.0, 0.3, commanded=None)
     assert world.at(4.0).leaf == "cmd_vel"
 
 
@@ -248,8 +248,8 @@ def test_xml_gives_the_same_leaf_as_the_short_form():
     ports = " ".join(f'{key}="{value}"' for key, value in short["motion"].items())
 
     def driven(world: World) -> Iterator[Verdict | float | None]:
-        for begin, seen in ((1.0, 0.3), (2.0, 0.3), (3.0, 0.0), (4.0, 0.3), (5.0, None)):
-            drive(world, begin, begin + 1.0, seen, stamped=True)
+        for begin, measured in ((1.0, 0.3), (2.0, 0.3), (3.0, 0.0), (4.0, 0.3), (5.0, None)):
+            drive(world, begin, begin + 1.0, measured, stamped=True)
             yield from (world.at(begin + 1.0), world.deadline(begin + 1.0))
 
     states = states_in_both_forms(written(f"<Motion {ports}/>"), short, driven)
@@ -266,8 +266,8 @@ def test_xml_gives_the_same_leaf_as_the_short_form():
 def test_the_deadline_is_the_first_moment_with_a_worse_verdict(runs, node, task, after):
     """Times in tenths of a second."""
     world, now = World(node, grace=2.0), 1.0
-    for length, seen in runs:
-        drive(world, now, now + length / 10, seen, said=0.3)
+    for length, measured in runs:
+        drive(world, now, now + length / 10, measured, commanded=0.3)
         now += length / 10
         if task is not None and task / 10 <= now:
             world.task = task / 10

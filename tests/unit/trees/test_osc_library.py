@@ -302,15 +302,15 @@ def test_loading_opens_no_files_starts_no_processes_and_prints_nothing() -> None
 def test_the_page_lists_every_behaviour_and_argument() -> None:
     rows = [line.split("|") for line in PAGE.splitlines() if line.startswith("| `")]
     for name, behavior in (*ACTIONS.items(), *MODIFIERS.items()):
-        told = [set(re.findall(r"`([a-z_]+)`", row[3])) for row in rows if f"`{name}()`" in row[1]]
-        assert told, f"{name}() is missing in the table of docs/trees-osc.md"
-        assert set(behavior.arguments) <= told[0], (
+        documented = [set(re.findall(r"`([a-z_]+)`", row[3])) for row in rows if f"`{name}()`" in row[1]]
+        assert documented, f"{name}() is missing in the table of docs/trees-osc.md"
+        assert set(behavior.arguments) <= documented[0], (
             f"arguments of {name}() are missing in the table of docs/trees-osc.md"
         )
     for type_, units in UNITS.items():
         assert set(units) <= set(re.findall(r"`([A-Za-z]+)`", PAGE)), type_
-    told = set(re.findall(r"`([a-z_]+![A-Za-z]+)`", PAGE))
-    assert {f"{enum}!{member}" for enum, members in ENUMS.items() for member in members} <= told
+    documented = set(re.findall(r"`([a-z_]+![A-Za-z]+)`", PAGE))
+    assert {f"{enum}!{member}" for enum, members in ENUMS.items() for member in members} <= documented
 
 
 def test_the_documented_mistakes_are_reported() -> None:

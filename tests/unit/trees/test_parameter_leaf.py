@@ -90,11 +90,11 @@ def test_a_node_that_is_brought_up_is_starting_until_the_grace_ends():
 
 
 def test_an_unknown_value_is_no_failure():
-    world = World(leaf(), grace=5).set(SPEED, 1.0, None, told=False)
+    world = World(leaf(), grace=5).set(SPEED, 1.0, None, reported=False)
     assert world.at(20.0).state == "Healthy"
     assert world.deadline(20.0) is None
     assert world.set(SPEED, 21.0, 0.5).at(21.0).state == "Failed"
-    assert world.set(SPEED, 22.0, None, told=False).at(22.0).state == "Healthy"
+    assert world.set(SPEED, 22.0, None, reported=False).at(22.0).state == "Healthy"
 
 
 def test_the_next_instance_is_judged_only_by_observations_after_its_activation():
@@ -247,19 +247,19 @@ def test_a_value_equals_its_own_text(value):
 @settings(max_examples=100, deadline=None)
 @given(
     node=st.sampled_from([leaf(), leaf(**{"for": "1s"}), {"inverter": leaf(**{"for": "700ms"})}]),
-    told=st.lists(st.tuples(st.integers(0, 600), st.sampled_from([0.26, 0.5, None, "unknown"])), max_size=12),
+    changes=st.lists(st.tuples(st.integers(0, 600), st.sampled_from([0.26, 0.5, None, "unknown"])), max_size=12),
     tasked=st.booleans(),
     task=st.none() | st.integers(0, 600),
     since=st.integers(0, 300),
     now=st.integers(0, 600),
 )
-def test_the_deadline_is_the_first_moment_with_a_worse_verdict(node, told, tasked, task, since, now):
+def test_the_deadline_is_the_first_moment_with_a_worse_verdict(node, changes, tasked, task, since, now):
     """Times in hundredths of a second."""
     assume(now >= since)
     world = World({**TASK, "do": node} if tasked else node, grace=2.0, since=since / 100)
     world.task = task / 100 if task is not None and task <= now else None
-    for time, value in sorted(told, key=lambda one: one[0]):
+    for time, value in sorted(changes, key=lambda one: one[0]):
         if time <= now:
             known = value != "unknown"
-            world.set(SPEED, time / 100, value if known else None, told=known).at(time / 100)
+            world.set(SPEED, time / 100, value if known else None, reported=known).at(time / 100)
     assert_deadline_is_the_first_worse_moment(world, now / 100)

@@ -360,19 +360,21 @@ def test_the_leaf_is_the_same_in_all_languages():
             {"inverter": leaf(restarts=0, window="1s")},
         ]
     ),
-    told=st.lists(st.tuples(st.integers(0, 600), st.integers(0, 1), st.sampled_from(["True", "False"])), max_size=12),
+    changes=st.lists(
+        st.tuples(st.integers(0, 600), st.integers(0, 1), st.sampled_from(["True", "False"])), max_size=12
+    ),
     tasked=st.booleans(),
     task=st.none() | st.integers(0, 600),
     since=st.integers(0, 300),
     now=st.integers(0, 600),
 )
-def test_the_deadline_is_the_first_moment_with_a_worse_verdict(node, told, tasked, task, since, now):
+def test_the_deadline_is_the_first_moment_with_a_worse_verdict(node, changes, tasked, task, since, now):
     """Times in hundredths of a second."""
     assume(now >= since)
     world = World({**TASK, "do": node} if tasked else node, grace=2.0, since=since / 100)
     world.task = task / 100 if task is not None and task <= now else None
     restarts = 0
-    for time, new, ready in sorted(told):
+    for time, new, ready in sorted(changes):
         restarts += new
         if time <= now:
             usage = PodUsage(2.0 * (ready == "False"), 0.0) if time % 3 else None

@@ -99,8 +99,8 @@ def test_any_text_loads_or_is_refused(text: str) -> None:
     try:
         load(text)
     except TreeError as error:
-        told = [problem.path for problem in error.problems]
+        paths = [problem.path for problem in error.problems]
     else:
-        told = ["health"]
-    assert told
-    assert all(path.startswith("health") for path in told)
+        paths = ["health"]
+    assert paths
+    assert all(path.startswith("health") for path in paths)

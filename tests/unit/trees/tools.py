@@ -30,10 +30,10 @@ def rebuilt(rows: Iterable[Row]) -> Behaviour:
     """The root. Fails where a tool would, or would show another tree."""
     known = {row.id: row for row in rows}
     (root,) = (row for row in known.values() if row.parent == bytes(16))
-    seen: list[bytes] = []
+    ids: list[bytes] = []
 
     def built(row: Row) -> Behaviour:
-        seen.append(row.id)
+        ids.append(row.id)
         assert all(known[child].parent == row.id for child in row.children)
         children = [built(known[child]) for child in row.children]
         match row.type:
@@ -57,7 +57,7 @@ def rebuilt(rows: Iterable[Row]) -> Behaviour:
         return node
 
     tree = built(root)
-    assert sorted(seen) == sorted(known), "all of it hangs together"
+    assert sorted(ids) == sorted(known), "all of it hangs together"
     return tree
 
 

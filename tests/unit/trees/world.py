@@ -55,11 +55,11 @@ class World:
         self.records = {topic.name: TopicRecord(topic.window, topic.contents) for topic in self.tree.topics}
 
     def hear(
-        self, topic: str, time: float, said: object = None, late: float | None = None, way: float | None = None
+        self, topic: str, time: float, message: object = None, late: float | None = None, way: float | None = None
     ) -> World:
         """A message that is ``late`` by its header's stamp, and ``way`` by when it was sent."""
         self.records[topic].add(START + time)
-        self.records[topic].contents.append(Heard(START + time, said, late, way))
+        self.records[topic].contents.append(Heard(START + time, message, late, way))
         return self
 
     def look(self, topic: str, time: float, *nodes: str) -> World:
@@ -77,14 +77,16 @@ class World:
         self.managed[node] = NodeState(START + time, state)
         return self
 
-    def set(self, name: str, time: float, value: ParameterValue | None, lacks: str = "", *, told: bool = True) -> World:
+    def set(
+        self, name: str, time: float, value: ParameterValue | None, lacks: str = "", *, reported: bool = True
+    ) -> World:
         """What is known of a parameter of the node /controller."""
-        self.parameters["/controller", name] = ParameterState(START + time, value, lacks, told)
+        self.parameters["/controller", name] = ParameterState(START + time, value, lacks, reported)
         return self
 
     def pod_says(self, time: float, restarts: int = 0, usage: PodUsage | None = None, **conditions: str) -> World:
         """A look at the pod; a condition is its status, with the reason behind it if there is one: ``False NotReady``."""
-        found = [PodCondition(type_, *said.split()) for type_, said in conditions.items()]
+        found = [PodCondition(type_, *condition.split()) for type_, condition in conditions.items()]
         self.pod = PodState(START + time, found, restarts, usage)
         return self
 

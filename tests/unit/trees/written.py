@@ -81,19 +81,19 @@ class Writer:
         if self._choose(2) == 0 and entries:
             self._trees[place] = self._tree(node, name, entries)
             return f'<SubTree ID="{name}" _autoremap="true"/>'
-        given = {f"value{index}": value for index, value in enumerate(_values(node))}
-        below = {value: key for key, value in given.items()}
+        values = {f"value{index}": value for index, value in enumerate(_values(node))}
+        below = {value: key for key, value in values.items()}
         self._trees[place] = self._tree(node, name, below)
-        return f'<SubTree ID="{name}"{_ports(given, entries)}/>'
+        return f'<SubTree ID="{name}"{_ports(values, entries)}/>'
 
 
 def _ports(fields: Mapping[str, str], entries: Mapping[str, str]) -> str:
     """Attributes; those whose value is an entry are given by that, but for names."""
-    given = {
+    ports = {
         key: "{" + entries[value] + "}" if value in entries and key != "name" else value
         for key, value in fields.items()
     }
-    return "".join(f" {key}={quoteattr(value)}" for key, value in given.items())
+    return "".join(f" {key}={quoteattr(value)}" for key, value in ports.items())
 
 
 def _texts(fields: Mapping[str, object]) -> dict[str, str]:

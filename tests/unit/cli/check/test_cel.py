@@ -45,8 +45,8 @@ def test_every_rule_of_every_kind_is_compiled() -> None:
     ],
 )
 def test_expressions_are_evaluated(expression: str, value: object) -> None:
-    given = {"a": 1, "b": 2, "list": [1, 2, 3], "d": {"e": 0}, "text": "1.5s"}
-    assert cel.compiled(expression)({"self": given}) == value
+    variables = {"a": 1, "b": 2, "list": [1, 2, 3], "d": {"e": 0}, "text": "1.5s"}
+    assert cel.compiled(expression)({"self": variables}) == value
 
 
 def test_a_dollar_matches_only_the_end_of_the_text() -> None:

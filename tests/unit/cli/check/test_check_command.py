@@ -32,9 +32,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_a_folder_stands_for_its_manifests(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fleet", "fleet/policy.yaml"]) == 0
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert_golden("check", told.err, "2 objects", "2 files", "0 errors", "0 warnings")
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert_golden("check", captured.err, "2 objects", "2 files", "0 errors", "0 warnings")
 
 
 def test_errors_end_with_status_1_and_warnings_only_with_strict(
@@ -46,11 +46,11 @@ def test_errors_end_with_status_1_and_warnings_only_with_strict(
     (folder / "fleet" / "policy.yaml").write_text(POLICY.replace("gap: 500ms", "gap: 500"))
     capsys.readouterr()
     assert main(["fleet"]) == 1
-    told = capsys.readouterr()
+    captured = capsys.readouterr()
     assert_golden(
-        "check", told.out, "fleet/policy.yaml:6:36: error", "FailurePolicy", "spec.monitoring.yaml.topic.gap", "500"
+        "check", captured.out, "fleet/policy.yaml:6:36: error", "FailurePolicy", "spec.monitoring.yaml.topic.gap", "500"
     )
-    assert_golden("check", told.err, "2 objects", "2 files", "1 error", "0 warnings")
+    assert_golden("check", captured.err, "2 objects", "2 files", "1 error", "0 warnings")
 
 
 @pytest.mark.parametrize(("form", "read"), [("json", json.loads), ("yaml", yaml.safe_load)])
@@ -59,8 +59,8 @@ def test_json_output_contains_all_findings(
 ) -> None:
     (folder / "fleet" / "policy.yaml").write_text(POLICY.replace("gap: 500ms", "gap: 500"))
     assert main(["fleet", "-o", form]) == 1
-    told = capsys.readouterr()
-    (finding,) = (found := read(told.out)).pop("findings")
+    captured = capsys.readouterr()
+    (finding,) = (found := read(captured.out)).pop("findings")
     assert found == {"files": 2, "checked": 2, "passedOver": 0, "errors": 1, "warnings": 0}
     assert_golden("check", finding.pop("message"), "500")
     assert finding == {
@@ -71,7 +71,7 @@ def test_json_output_contains_all_findings(
         "subject": "FailurePolicy navigation",
         "field": "spec.monitoring.yaml.topic.gap",
     }
-    assert told.err.endswith("1 error, 0 warnings\n")
+    assert captured.err.endswith("1 error, 0 warnings\n")
     assert main(["fleet/workload.yml", "-o", form]) == 0
     assert [one["severity"] for one in read(capsys.readouterr().out)["findings"]] == ["warning"]
 
@@ -85,7 +85,7 @@ def test_manifests_are_read_from_standard_input(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (["nowhere.yaml"], "nowhere.yaml: No such file or directory; give a file"),
         (["."], "no *.yaml and no *.yml in this folder; subfolders are not read, so give them too: fleet"),
@@ -93,10 +93,10 @@ def test_manifests_are_read_from_standard_input(
     ],
 )
 def test_unreadable_input_ends_with_status_2(
-    folder: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], told: str
+    folder: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
 ) -> None:
     assert main(arguments) == 2
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 def test_no_file_ends_with_status_2() -> None:

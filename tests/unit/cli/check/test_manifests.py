@@ -54,11 +54,11 @@ def test_the_tables_of_manifests_are_not_empty() -> None:
 
 @pytest.mark.parametrize("file", BAD, ids=lambda file: file.stem)
 def test_manifests_that_the_api_server_refuses_have_the_same_error(file: Path) -> None:
-    told = "\n".join(f"{finding.field}: {finding.message}" for finding in _errors(file))
+    errors = "\n".join(f"{finding.field}: {finding.message}" for finding in _errors(file))
     expected = [line.removeprefix(_REFUSED) for line in file.read_text().splitlines() if line.startswith(_REFUSED)]
     assert expected
-    missing = [words for words in map(_as_here, expected) if words not in told]
-    assert not missing, told
+    missing = [words for words in map(_as_here, expected) if words not in errors]
+    assert not missing, errors
 
 
 def _as_here(words: str) -> str:

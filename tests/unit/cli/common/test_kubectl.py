@@ -40,7 +40,7 @@ while not os.path.exists(path + ".entered"):
 
 
 @pytest.mark.parametrize(
-    ("said", "told"),
+    ("stderr", "message"),
     [
         (
             "The connection to the server localhost:8080 was refused - did you specify the right host or port?",
@@ -61,14 +61,14 @@ while not os.path.exists(path + ".entered"):
     ],
 )
 def test_an_error_of_kubectl_is_reported_with_a_cure(
-    stand: FakeKubectl, capsys: pytest.CaptureFixture[str], said: str, told: str
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str], stderr: str, message: str
 ) -> None:
-    stand.tell(fleet.fleet(), error=said)
+    stand.tell(fleet.fleet(), error=stderr)
     assert timeline.main([NAME]) == 2
     error = capsys.readouterr().err
-    plain = said.removeprefix("error: ").removeprefix("Error in configuration: ").partition(" - did")[0]
+    plain = stderr.removeprefix("error: ").removeprefix("Error in configuration: ").partition(" - did")[0]
     assert error.startswith(f"understudy timeline: {plain}: ")
-    assert told in error
+    assert message in error
 
 
 def test_a_kubeconfig_without_credentials_is_reported(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
@@ -119,8 +119,8 @@ def test_the_user_at_the_terminal_can_answer_a_credential_plugin(stand: FakeKube
     with started(its) as running:
         assert read_until(running, b"Token: ") == b"Token: "
         os.write(ours, b"good\n")
-        output, told = running.communicate(timeout=60)
-    assert (running.returncode, told) == (0, b"")
+        output, errors = running.communicate(timeout=60)
+    assert (running.returncode, errors) == (0, b"")
     assert output.decode().startswith(f"fleet/{NAME}: 3 recoveries\n")
 
 
@@ -130,9 +130,9 @@ def test_an_answer_that_the_plugin_rejects_is_reported(stand: FakeKubectl) -> No
     with started(its) as running:
         read_until(running, b"Token: ")
         os.write(ours, b"bad\n")
-        _, told = running.communicate(timeout=60)
+        _, errors = running.communicate(timeout=60)
     assert running.returncode == 2
-    assert_golden("command_line", told.decode(), "login failed with exit code 1")
+    assert_golden("command_line", errors.decode(), "login failed with exit code 1")
 
 
 def test_instructions_of_a_waiting_plugin_are_shown(stand: FakeKubectl) -> None:
@@ -152,11 +152,11 @@ def test_a_plugin_does_not_ask_without_a_terminal(
     monkeypatch.setattr(sys.stdin, "isatty", lambda: place != "a script", raising=False)
     if place != "a script":
         monkeypatch.setenv("_ARGCOMPLETE", "2")
-    given = argparse.Namespace(namespace="fleet", context=None, kubeconfig=None)
-    begun = time.monotonic()
+    arguments = argparse.Namespace(namespace="fleet", context=None, kubeconfig=None)
+    started_at = time.monotonic()
     with pytest.raises(CommandError, match="not a terminal: log in with the kubeconfig's credential plugin"):
-        Kubectl(given).get("robotworkloads.understudy.dev", NAME)
-    assert time.monotonic() - begun < 10
+        Kubectl(arguments).get("robotworkloads.understudy.dev", NAME)
+    assert time.monotonic() - started_at < 10
 
 
 def test_a_plugin_does_not_ask_without_standard_input(stand: FakeKubectl, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,8 +20,8 @@ class Handler(BaseHTTPRequestHandler):
         self._answer(404 if "missing" in self.path else 200, {"message": "pods is not found", "path": self.path})
 
     def do_PATCH(self) -> None:
-        given = self.rfile.read(int(self.headers["Content-Length"]))
-        self._answer(200, {"kind": self.headers["Content-Type"], "given": json.loads(given)})
+        body = self.rfile.read(int(self.headers["Content-Length"]))
+        self._answer(200, {"kind": self.headers["Content-Type"], "given": json.loads(body)})
 
     def address_string(self) -> str:
         return "here"

@@ -30,9 +30,9 @@ def test_each_watch_reports_a_change_once(tmp_path: Path) -> None:
     telling, _ = program(tmp_path, "telling", "sys.stdout.write('changed\\n')\nsys.stdout.flush()\ntime.sleep(600)")
     with waiting(silent(tmp_path), telling) as changed:
         assert changed(LONG)
-        begun = time.monotonic()
+        started_at = time.monotonic()
         assert not changed(0.2), "once for each change"
-        assert time.monotonic() - begun >= 0.2
+        assert time.monotonic() - started_at >= 0.2
 
 
 def test_a_forbidden_watch_reports_nothing_and_restarts_after_a_pause(

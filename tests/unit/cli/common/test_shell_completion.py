@@ -118,6 +118,6 @@ def test_completions_for_kubectl_have_its_format(stand: FakeKubectl) -> None:
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_each_shell_gets_its_completion_script(capsys: pytest.CaptureFixture[str], shell: str) -> None:
     assert completion.main([shell]) == 0
-    told = capsys.readouterr().out
-    assert "_ARGCOMPLETE" in told
-    assert "kubectl-understudy" in told
+    output = capsys.readouterr().out
+    assert "_ARGCOMPLETE" in output
+    assert "kubectl-understudy" in output

@@ -65,9 +65,9 @@ def test_a_workload_without_tree_and_active_instance_is_shown() -> None:
 
 
 def test_the_degraded_condition_is_shown_only_while_it_is_true() -> None:
-    said = {"type": "Degraded", "status": "True", "reason": "NotWell", "message": "/scan at 8.6 Hz, below 9 Hz\n."}
-    found = told(state(health="Degraded", conditions=[said]), colours=True)
+    condition = {"type": "Degraded", "status": "True", "reason": "NotWell", "message": "/scan at 8.6 Hz, below 9 Hz\n."}
+    found = told(state(health="Degraded", conditions=[condition]), colours=True)
     assert found[0] == "fleet/robot-1-drive  \x1b[33mDegraded\x1b[0m"
     assert found[2] == "degraded: /scan at 8.6 Hz, below 9 Hz\\n."
-    well = told(state(conditions=[said | {"status": "False"}]))
+    well = told(state(conditions=[condition | {"status": "False"}]))
     assert not any(line.startswith("degraded") for line in well)

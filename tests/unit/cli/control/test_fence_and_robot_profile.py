@@ -29,8 +29,8 @@ REASON = ["--reason", "it is in the wrong aisle", "--owner", "ann"]
 
 def heard(item: dict[str, Any]) -> dict[str, Any]:
     """The workload as its monitor leaves it once it has heard of the pause."""
-    said = fleet.said("Paused", "True", "Maintenance", "Paused by ann: fenced: it is in the wrong aisle.")
-    item["status"]["conditions"] = [*item["status"]["conditions"], said.to_wire()]
+    condition = fleet.said("Paused", "True", "Maintenance", "Paused by ann: fenced: it is in the wrong aisle.")
+    item["status"]["conditions"] = [*item["status"]["conditions"], condition.to_wire()]
     return item
 
 
@@ -54,11 +54,11 @@ def test_fence_closes_the_gate_and_pauses_recovery(stand: FakeKubectl, capsys: p
     pause = RobotWorkloadSpec.model_validate(stand.item(ROBOT)["spec"]).pause
     assert pause is not None
     assert (pause.reason, pause.owner, pause.until) == ("fenced: it is in the wrong aisle", "ann", None)
-    told = capsys.readouterr().out
-    assert told.startswith(
+    output = capsys.readouterr().out
+    assert output.startswith(
         f"fleet/{ROBOT}: gate closed at epoch 42 (fenced: {before.active}).\nThe workload is paused by ann: fenced: it is"
     )
-    assert f"understudy resume {ROBOT}" in told
+    assert f"understudy resume {ROBOT}" in output
     written = [line for line in stand.asked if line.startswith("patch ")]
     assert "robotworkloads" in written[0], "a monitor that knows of no pause would open it again"
 
@@ -139,15 +139,15 @@ def given_out(item: dict[str, Any]) -> list[dict[str, Any]]:
 def test_both_files_are_printed_with_their_paths(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     stand.tell(given_out(fleet.well()))
     assert robot_profile.main([ROBOT, "--at", "/opt/robot/"]) == 0
-    told = capsys.readouterr().out
-    assert "# /opt/robot/ros.env\n" in told
-    assert_golden("control", told, "FASTRTPS_DEFAULT_PROFILES_FILE=/opt/robot/profiles.xml")
-    assert "ROS_DISCOVERY_SERVER=10.96.0.7:11811\n" in told
-    assert '<data_reader profile_name="/cmd_vel">' in told
-    assert "EnvironmentFile=/opt/robot/ros.env" in told
-    assert "/cmd_vel at 7950" in told
-    assert "1. spec.gate.robots" in told
-    assert "the discovery server 10.96.0.7:11811" in told
+    output = capsys.readouterr().out
+    assert "# /opt/robot/ros.env\n" in output
+    assert_golden("control", output, "FASTRTPS_DEFAULT_PROFILES_FILE=/opt/robot/profiles.xml")
+    assert "ROS_DISCOVERY_SERVER=10.96.0.7:11811\n" in output
+    assert '<data_reader profile_name="/cmd_vel">' in output
+    assert "EnvironmentFile=/opt/robot/ros.env" in output
+    assert "/cmd_vel at 7950" in output
+    assert "1. spec.gate.robots" in output
+    assert "the discovery server 10.96.0.7:11811" in output
 
 
 def test_each_file_can_be_printed_alone_or_written(
@@ -179,8 +179,8 @@ def test_a_robot_with_its_own_address_and_discovery_server_gets_its_profile(
     }
     stand.tell(given_out(item))
     assert robot_profile.main([ROBOT]) == 0
-    told = capsys.readouterr().out
-    assert_golden("control", told, "spec.gate.robots", "10.20.17.4/32", "10.20.0.5:11811")
+    output = capsys.readouterr().out
+    assert_golden("control", output, "spec.gate.robots", "10.20.17.4/32", "10.20.0.5:11811")
 
 
 def test_without_a_profile_of_the_operator_nothing_is_printed(

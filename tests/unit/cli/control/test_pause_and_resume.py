@@ -19,16 +19,16 @@ ROBOT = "robot-17-navigation"
 def test_pause_records_reason_owner_and_end(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str], in_the_present: None
 ) -> None:
-    given = [ROBOT, "-n", "fleet", "--reason", "a new gripper", "--owner", "ann", "--for", "1h30m"]
-    assert pause.main(given) == 0
+    arguments = [ROBOT, "-n", "fleet", "--reason", "a new gripper", "--owner", "ann", "--for", "1h30m"]
+    assert pause.main(arguments) == 0
     assert stand.item(ROBOT)["spec"]["pause"] == {
         "reason": "a new gripper",
         "owner": "ann",
         "until": "2026-11-22T15:36:24Z",
     }
     assert RobotWorkloadSpec.model_validate(stand.item(ROBOT)["spec"]).pause is not None
-    told = capsys.readouterr().out
-    assert_golden("control", told, "fleet/robot-17-navigation", "ann", "a new gripper", "2026-11-22 15:36:24")
+    output = capsys.readouterr().out
+    assert_golden("control", output, "fleet/robot-17-navigation", "ann", "a new gripper", "2026-11-22 15:36:24")
     assert stand.asked[-1].startswith(
         "--namespace=fleet patch robotworkloads.understudy.dev robot-17-navigation --type=merge"
     )

@@ -95,23 +95,23 @@ def test_failback_is_done_if_the_own_instance_is_already_active(
     assert "done: w-1 of the workload's own controller" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("given", ["0", "0s", "-3", "soon", "nan", "inf", ""])
-def test_the_timeout_must_be_a_duration(stand: FakeKubectl, capsys: pytest.CaptureFixture[str], given: str) -> None:
+@pytest.mark.parametrize("timeout", ["0", "0s", "-3", "soon", "nan", "inf", ""])
+def test_the_timeout_must_be_a_duration(stand: FakeKubectl, capsys: pytest.CaptureFixture[str], timeout: str) -> None:
     with pytest.raises(SystemExit) as ended:
-        failover.main([NAME, f"--within={given}"])
+        failover.main([NAME, f"--within={timeout}"])
     assert ended.value.code == 2
-    assert f"argument --within: found {given!r}; give a duration above 0, such as 500ms" in capsys.readouterr().err
+    assert f"argument --within: found {timeout!r}; give a duration above 0, such as 500ms" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("given", ["0.3", "300ms"])
+@pytest.mark.parametrize("expected", ["0.3", "300ms"])
 def test_after_the_timeout_the_command_explains_how_to_withdraw_the_request(
-    stand: FakeKubectl, capsys: pytest.CaptureFixture[str], given: str
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str], expected: str
 ) -> None:
     stand.tell([fleet.well()])
-    assert failover.main([NAME, "--within", given]) == 2
-    told = capsys.readouterr().err
-    assert "its monitor has not started it" in told
-    assert f"kubectl annotate robotworkload {NAME} understudy.dev/switchover-" in told
+    assert failover.main([NAME, "--within", expected]) == 2
+    output = capsys.readouterr().err
+    assert "its monitor has not started it" in output
+    assert f"kubectl annotate robotworkload {NAME} understudy.dev/switchover-" in output
 
 
 def test_only_one_switchover_runs_at_a_time(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:

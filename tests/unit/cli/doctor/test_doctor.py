@@ -96,8 +96,8 @@ def shown() -> list[Finding]:
 
 def test_the_page_shows_the_printed_output() -> None:
     page = (Path(__file__).parents[4] / "docs" / "console.md").read_text()
-    (told,) = re.findall(r"```console\n\$ understudy doctor -n fleet\n(.*?)\n```", page, re.DOTALL)
-    assert told.splitlines() == list(findings.lines(shown(), columns=110, colours=False))
+    (printed,) = re.findall(r"```console\n\$ understudy doctor -n fleet\n(.*?)\n```", page, re.DOTALL)
+    assert printed.splitlines() == list(findings.lines(shown(), columns=110, colours=False))
 
 
 # -- what is installed ------------------------------------------------------------------------------------------------

@@ -70,7 +70,7 @@ def test_the_rights_of_the_operator_are_reviewed_in_its_name() -> None:
 
 
 @pytest.mark.parametrize(
-    ("seen", "level", "words"),
+    ("measured", "level", "words"),
     [
         (
             ENFORCED,
@@ -91,8 +91,8 @@ def test_the_rights_of_the_operator_are_reviewed_in_its_name() -> None:
         (replace(ENFORCED, closed=None), "WARN", "still came 10.0 s after an open gate was closed"),
     ],
 )
-def test_received_packets_determine_the_finding_about_the_network(seen: GateTest, level: str, words: str) -> None:
-    found = packet_check.judge(seen)
+def test_received_packets_determine_the_finding_about_the_network(measured: GateTest, level: str, words: str) -> None:
+    found = packet_check.judge(measured)
     assert (found[0].level, words in found[0].found) == (level, True), found
     assert bool(found[0].cure) == (level != "OK")
 
@@ -155,12 +155,12 @@ def test_a_certain_clock_error_is_reported_before_a_possible_one() -> None:
 
 def test_the_clock_of_a_node_is_measured_by_its_lease_renewal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clock_check, "CHECK_PERIOD", 0.05)
-    ahead, begun = 30.0, time.time()
+    ahead, started_at = 30.0, time.time()
 
     class Leases:
         def request(self, method: str, path: str) -> Answer:
             now = time.time()
-            renewed = rfc3339(begun + (0.4 if now > begun + 0.4 else 0.0) + ahead)
+            renewed = rfc3339(started_at + (0.4 if now > started_at + 0.4 else 0.0) + ahead)
             return Answer(
                 {"items": [{"metadata": {"name": "n1"}, "spec": {"renewTime": renewed}}]}, "", now, time.time()
             )

@@ -68,12 +68,12 @@ def ports(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_network_without_enforcement_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(packet_check, "WITHIN", 1.0)
-    pods, said = Here(), list[str]()
-    seen = packet_check.measure(pods, said.append)  # type: ignore[arg-type]
-    assert (seen.before, seen.established, seen.fresh, seen.others) == (True, None, True, True)
+    pods, progress = Here(), list[str]()
+    measured = packet_check.measure(pods, progress.append)  # type: ignore[arg-type]
+    assert (measured.before, measured.established, measured.fresh, measured.others) == (True, None, True, True)
     assert pods.asked == ["fence"], "there is no use in opening a gate that doesn't close"
-    assert [(one.level, one.check) for one in packet_check.judge(seen)] == [("FAIL", "gate")]
-    assert said == [
+    assert [(one.level, one.check) for one in packet_check.judge(measured)] == [("FAIL", "gate")]
+    assert progress == [
         "reading the clocks of their nodes",
         "sending packets without a gate",
         "sending packets to a closed gate",

@@ -48,38 +48,42 @@ print(json.dumps([begun, asked, ended, ticks, done.stdout, done.stderr]))
 def made(length: float, percent: int, *, observed: float, undo_after: float | None = None) -> dict[str, Any]:
     """A fault in a container with one application that ticks a hundred times a second."""
     arguments = [f"{value:g}" for value in fault_commands.cycles(length, percent)]
-    given = json.dumps([fault_commands.FREEZE_AND_SLOW, fault_commands.UNDO, arguments, undo_after, observed])
+    script_input = json.dumps([fault_commands.FREEZE_AND_SLOW, fault_commands.UNDO, arguments, undo_after, observed])
     done = subprocess.run(
-        [*_UNSHARE, sys.executable, "-c", CONTAINER, given], capture_output=True, text=True, timeout=60, check=True
+        [*_UNSHARE, sys.executable, "-c", CONTAINER, script_input],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
     )
-    begun, asked, ended, ticks, said, error = json.loads(done.stdout)
+    started_at, asked, ended, ticks, ps_lines, error = json.loads(done.stdout)
     assert error == ""
-    assert len(said.split()) == 2, "the process that undoes it, and the application"
+    assert len(ps_lines.split()) == 2, "the process that undoes it, and the application"
     return {
-        "gap": max(later - earlier for earlier, later in pairwise([t for t in ticks if t > begun - 0.1])),
+        "gap": max(later - earlier for earlier, later in pairwise([t for t in ticks if t > started_at - 0.1])),
         "during": sum(asked < tick < asked + length for tick in ticks) / length,
-        "before": sum(begun - 0.4 < tick < begun for tick in ticks) / 0.4,
+        "before": sum(started_at - 0.4 < tick < started_at for tick in ticks) / 0.4,
         "last": ended - max(ticks),
     }
 
 
 def test_a_frozen_application_continues_by_itself() -> None:
-    seen = made(1.0, 100, observed=3.0)
-    assert 0.9 < seen["gap"] < 2.5
-    assert seen["last"] < 0.5
+    run = made(1.0, 100, observed=3.0)
+    assert 0.9 < run["gap"] < 2.5
+    assert run["last"] < 0.5
 
 
 def test_a_slow_application_gets_a_part_of_the_time() -> None:
-    seen = made(2.0, 80, observed=2.5)
-    assert 0 < seen["during"] < seen["before"] / 1.5
-    assert seen["gap"] < 1.5, "never for long"
-    assert seen["last"] < 0.5
+    run = made(2.0, 80, observed=2.5)
+    assert 0 < run["during"] < run["before"] / 1.5
+    assert run["gap"] < 1.5, "never for long"
+    assert run["last"] < 0.5
 
 
 def test_a_fault_can_be_ended_at_once() -> None:
-    seen = made(30.0, 100, observed=2.0, undo_after=0.3)
-    assert seen["gap"] < 2.0
-    assert seen["last"] < 0.5
+    run = made(30.0, 100, observed=2.0, undo_after=0.3)
+    assert run["gap"] < 2.0
+    assert run["last"] < 0.5
     assert made(30.0, 80, observed=2.0, undo_after=0.3)["last"] < 0.5
 
 

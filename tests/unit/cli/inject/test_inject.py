@@ -61,13 +61,13 @@ def test_the_duration_is_required(
     assert words in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("given", ["0", "100", "-1", "half", "50%"])
-def test_an_invalid_percentage_is_refused_in_one_line(capsys: pytest.CaptureFixture[str], given: str) -> None:
+@pytest.mark.parametrize("percentage", ["0", "100", "-1", "half", "50%"])
+def test_an_invalid_percentage_is_refused_in_one_line(capsys: pytest.CaptureFixture[str], percentage: str) -> None:
     with pytest.raises(SystemExit) as ended:
-        inject.main([ROBOT, "slow", "--yes", f"--percent={given}"])
+        inject.main([ROBOT, "slow", "--yes", f"--percent={percentage}"])
     assert ended.value.code == 2
-    told = capsys.readouterr().err.splitlines()[-1]
-    assert_golden("inject", told, "--percent", repr(given), "99", "100")
+    message = capsys.readouterr().err.splitlines()[-1]
+    assert_golden("inject", message, "--percent", repr(percentage), "99", "100")
 
 
 @pytest.mark.parametrize(("length", "percent"), [(10.0, 80), (0.1, 50), (3.0, 99), (2.0, 100)])

@@ -57,8 +57,8 @@ class Talk:
         self._folder, self._running = folder, dict[str, subprocess.Popen[bytes]]()
         for host, command in {POD: self.pod, ROBOT: lan.host(ROBOT), MONITOR: lan.host(MONITOR)}.items():
             to = [ROBOT, MONITOR] if host == POD else [POD]
-            with (folder / host).open("w") as heard:
-                self._running[host] = subprocess.Popen([*command, sys.executable, "-c", TALK, *to], stdout=heard)
+            with (folder / host).open("w") as file:
+                self._running[host] = subprocess.Popen([*command, sys.executable, "-c", TALK, *to], stdout=file)
 
     def heard(self, sender: str, receiver: str, since: float, until: float = LATER) -> int:
         """How much of what was sent between two moments was heard so far."""

@@ -100,8 +100,8 @@ class Cluster:
         refusal: tuple[int, str] = (200, ""),
     ) -> None:
         """``inside`` is what gets a program into the pod's network; ``state`` is the container's."""
-        told = {"inside": inside or [], "spec": spec or {}, "state": state or {"running": {}}, "refusal": refusal}
-        (self._folder / "cluster.json").write_text(json.dumps(told))
+        settings = {"inside": inside or [], "spec": spec or {}, "state": state or {"running": {}}, "refusal": refusal}
+        (self._folder / "cluster.json").write_text(json.dumps(settings))
 
     @property
     def made(self) -> dict[str, Any] | None:
@@ -131,9 +131,9 @@ def cluster(stand: FakeKubectl, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="takes root, for network namespaces")
 
 
-def without_id(said: str) -> str:
+def without_id(text: str) -> str:
     """What was said, without the random end of the container's name."""
-    return re.sub(r"partition-\w{6}", "partition-ID", said)
+    return re.sub(r"partition-\w{6}", "partition-ID", text)
 
 
 @needs_root
@@ -141,9 +141,9 @@ def test_the_pod_is_cut_off_for_the_given_time(cluster: Cluster, capsys: pytest.
     with network() as lan:
         cluster.tell(inside=lan.host("10.91.0.1"))
         assert inject.main([ROBOT, "partition", "--for", "500ms", "--yes"]) == 0
-    told, pod = capsys.readouterr().out.splitlines(), fleet.well()["status"]["active"]
+    output, pod = capsys.readouterr().out.splitlines(), fleet.well()["status"]["active"]
     assert cluster.made is not None
-    cut, again, further = told
+    cut, again, further = output
     assert cut == f"{pod}: container {cluster.made['name']} cut it off from the network, for 0.5 s"
     (after,) = re.findall(rf"^{pod}: it is connected again after ([\d.]+) s$", again)
     assert float(after) >= 0.5, "it is told how long that was, which on a busy machine is longer"

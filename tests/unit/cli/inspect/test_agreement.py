@@ -104,12 +104,12 @@ def test_monitor_and_explain_agree_on_what_a_limit_prevents(
     }
     protected = made.condition("Protected")
     status = RobotWorkloadStatus.model_validate(item["status"])
-    seen = limit_text.limits_in_force(
+    in_force = limit_text.limits_in_force(
         view.spec, given_policy, policy, status, item, robot(item, made.observed().gate, NOW), NOW
     )
-    sentences = list(limit_text.sentences(seen, "w", NOW, standby_ready=ready))
+    sentences = list(limit_text.sentences(in_force, "w", NOW, standby_ready=ready))
 
-    assert decide(Facts(NOW, (FAILURE,), seen, standby_ready=ready)).reason == decision.reason
+    assert decide(Facts(NOW, (FAILURE,), in_force, standby_ready=ready)).reason == decision.reason
     assert any(prevents for _, prevents in sentences) == (not isinstance(decision, Recover))
     clearing = {"Paused": limits.in_force(NOW).pause, "BudgetSpent": limits.in_force(NOW).budget}
     expected = next((reason for reason, found in clearing.items() if found is not None), None)

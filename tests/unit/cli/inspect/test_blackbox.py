@@ -26,12 +26,12 @@ FILE = bytes(range(256)) * 4096
 
 
 def recording(number: int, **more: Any) -> Recording:
-    told: dict[str, Any] = {
+    fields: dict[str, Any] = {
         "id": f"{number}abcdef", "number": number, "failed": f"2026-11-22T19:{number:02}:00.250000Z", "reason": "no /cmd_vel for 500 ms",
         "result": "Recovered", "strategy": "Fallback/Executing", "messages": 1234, "size": len(FILE),
         "sha256": hashlib.sha256(FILE).hexdigest(), **more,
     }  # fmt: skip
-    return Recording.model_validate(told)
+    return Recording.model_validate(fields)
 
 
 class Monitor:
@@ -47,11 +47,11 @@ class Monitor:
 
     def reached_by(self, port: int) -> None:
         kubectl = self._folder / "kubectl"
-        told = self._folder / "told.json"
-        kubectl.write_text(KUBECTL.format(told=str(told), asked=str(self._folder / "asked")))
+        file = self._folder / "told.json"
+        kubectl.write_text(KUBECTL.format(told=str(file), asked=str(self._folder / "asked")))
         kubectl.chmod(0o755)
         pod = {"metadata": {"name": "monitor-1"}, "status": READY}
-        told.write_text(json.dumps({"workload": {}, "pods": [pod], "port": port}))
+        file.write_text(json.dumps({"workload": {}, "pods": [pod], "port": port}))
 
     @property
     def asked(self) -> str:
@@ -95,9 +95,9 @@ def test_recordings_are_listed(monitor: Monitor, capsys: pytest.CaptureFixture[s
 @pytest.mark.parametrize("form", ["json", "yaml"])
 def test_json_output_contains_all_recordings(monitor: Monitor, capsys: pytest.CaptureFixture[str], form: str) -> None:
     assert main(["robot-1", "-o", form]) == 0
-    told = capsys.readouterr().out
-    assert told.startswith("{") is (form == "json")
-    assert Recordings.model_validate(yaml.safe_load(told)) == monitor.told
+    output = capsys.readouterr().out
+    assert output.startswith("{") is (form == "json")
+    assert Recordings.model_validate(yaml.safe_load(output)) == monitor.told
 
 
 def test_a_missing_recording_is_explained(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
@@ -108,8 +108,8 @@ def test_a_missing_recording_is_explained(monitor: Monitor, capsys: pytest.Captu
 
 def test_omitted_topics_are_named() -> None:
     found = Recordings(workload="robot-1", on=True, left_out={"/image": "too much"})
-    told = list(lines(found, 0.0, columns=None))
-    assert_golden("blackbox", told, "/image", "blackBox.memory")
+    printed = list(lines(found, 0.0, columns=None))
+    assert_golden("blackbox", printed, "/image", "blackBox.memory")
 
 
 @pytest.mark.parametrize(
@@ -133,8 +133,8 @@ def test_a_recording_is_fetched(
 
 def test_an_unknown_recording_is_reported(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["robot-1", "--fetch", "7"]) == 2
-    told = capsys.readouterr().err
-    assert_golden("blackbox", told, "recording 7 of robot-1", "3abcdef (failure 3), 2abcdef (failure 2)")
+    output = capsys.readouterr().err
+    assert_golden("blackbox", output, "recording 7 of robot-1", "3abcdef (failure 3), 2abcdef (failure 2)")
     monitor.told = Recordings(workload="robot-1", on=True)
     assert main(["robot-1", "--fetch"]) == 2
     assert "there is no recording of robot-1" in capsys.readouterr().err

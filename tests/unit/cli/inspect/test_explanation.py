@@ -40,7 +40,13 @@ def test_a_completely_protected_robot_is_explained() -> None:
 
 def test_the_size_of_an_automatically_sized_pool_is_explained() -> None:
     why = "12 robots asked for a pod 6 times in 120 robot hours. So the pool keeps 3 pods."
-    said = {"type": "Sized", "status": "True", "reason": "Sized", "message": why, "lastTransitionTime": fleet.ago(60)}
+    condition = {
+        "type": "Sized",
+        "status": "True",
+        "reason": "Sized",
+        "message": why,
+        "lastTransitionTime": fleet.ago(60),
+    }
     figures = {
         "needed": 3,
         "robots": 12,
@@ -51,7 +57,7 @@ def test_the_size_of_an_automatically_sized_pool_is_explained() -> None:
         "high": 0.098,
     }
     sizing = {"size": 3, "lastChange": fleet.ago(60), **figures}
-    pool = fleet.spare(size={"sizing": {"risk": "1%", "max": 9}}, sizing=sizing, conditions=[said])
+    pool = fleet.spare(size={"sizing": {"risk": "1%", "max": 9}}, sizing=sizing, conditions=[condition])
     item = fleet.well()
     others = [one for one in fleet.around(item) if one["metadata"]["name"] != "navigation-spare"]
     text = told(known(item, [*others, pool]))["Pools"]

@@ -35,10 +35,10 @@ def test_the_status_shows_the_fleet_on_one_screen(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str], in_the_present: None
 ) -> None:
     assert main(["-n", "fleet", "--context", "lab"]) == 1, "one of them isn't protected"
-    told = capsys.readouterr().out
-    assert told.startswith("ROBOT ")
-    assert told.endswith("3 robots: 1 not protected; 1 degraded, 2 healthy\n")
-    assert "\x1b" not in told, "colours are for terminals"
+    output = capsys.readouterr().out
+    assert output.startswith("ROBOT ")
+    assert output.endswith("3 robots: 1 not protected; 1 degraded, 2 healthy\n")
+    assert "\x1b" not in output, "colours are for terminals"
     gates, asked = stand.asked
     assert asked.startswith(
         "--namespace=fleet --context=lab get robotworkloads.understudy.dev,fallbackpools.understudy.dev -o json"
@@ -68,12 +68,12 @@ def test_json_output_contains_everything(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str], output: str, read: type
 ) -> None:
     assert main(["-o", output]) == 1
-    told = read(capsys.readouterr().out)
-    first, _, third = told["robots"]
+    printed_text = read(capsys.readouterr().out)
+    first, _, third = printed_text["robots"]
     assert first["active"] == "robot-17-navigation-x8v2m"
     assert first["lastRecovery"]["recoverySeconds"] == pytest.approx(0.509)
     assert (third["protected"], third["problems"][0]["reason"]) == (False, "ImagePullBackOff")
-    assert [pool["ready"] for pool in told["pools"]] == [2, 3]
+    assert [pool["ready"] for pool in printed_text["pools"]] == [2, 3]
 
 
 def recovering(**changes: Any) -> list[dict[str, Any]]:
@@ -86,10 +86,10 @@ def test_a_recovery_is_shown_from_the_gate_before_the_status_reports_it(
 ) -> None:
     stand.tell(recovering())
     assert main([]) == 1
-    told = capsys.readouterr().out
+    output = capsys.readouterr().out
     assert_golden(
         "status",
-        told,
+        output,
         "3 robots",
         "1 not protected",
         "1 degraded",
@@ -122,8 +122,8 @@ def test_gates_of_selected_robots_are_requested_by_name(
 ) -> None:
     stand.tell(recovering())
     main(["robot-17-navigation", *others])
-    told = capsys.readouterr()
-    assert expected in told.out + told.err, "whether or not the others have a gate"
+    captured = capsys.readouterr()
+    assert expected in captured.out + captured.err, "whether or not the others have a gate"
     gates = " ".join(f"{name}-gate" for name in ["robot-17-navigation", *others])
     assert stand.asked[0].startswith(f"get networkpolicies.networking.k8s.io {gates} --ignore-not-found -o json")
 
@@ -133,9 +133,9 @@ def test_without_the_right_to_read_gates_the_status_is_shown(
 ) -> None:
     stand.tell(recovering(), forbidden=["networkpolicies"])
     assert main([]) == 1
-    told = capsys.readouterr()
-    assert told.out.endswith("3 robots: 1 not protected; 1 degraded, 2 healthy\n")
-    assert told.err == ""
+    captured = capsys.readouterr()
+    assert captured.out.endswith("3 robots: 1 not protected; 1 degraded, 2 healthy\n")
+    assert captured.err == ""
     stand.tell(fleet.fleet(), forbidden=["robotworkloads"])
     assert main([]) == 2, "without robots there is nothing to be shown"
     assert_golden("status", capsys.readouterr().err, "robotworkloads.understudy.dev", "fallbackpools.understudy.dev")
@@ -154,10 +154,10 @@ def test_unavailable_information_is_reported(
 ) -> None:
     stand.tell(fleet.fleet(), error=error)
     assert main(arguments) == 2
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert told.err.startswith("understudy status: ")
-    assert words in told.err
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("understudy status: ")
+    assert words in captured.err
 
 
 def test_an_empty_fleet_is_not_reported_as_protected(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
@@ -194,9 +194,9 @@ class Watching:
             left = end - time.monotonic()
             assert left > 0, f"{words!r} was not told within {LONG} s, but {self.told[begin:]!r}"
             if select.select([self._reading], [], [], left)[0]:
-                told = os.read(self._reading, 65536).decode()
-                assert told, f"it ended with {self.process.wait(LONG)} before {words!r}"
-                self.told += told
+                chunk = os.read(self._reading, 65536).decode()
+                assert chunk, f"it ended with {self.process.wait(LONG)} before {words!r}"
+                self.told += chunk
         return self.told[begin:]
 
     def end(self) -> int:

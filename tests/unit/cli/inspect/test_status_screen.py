@@ -123,9 +123,9 @@ def test_a_recovery_known_only_from_the_gate_is_shown() -> None:
     assert re.split(r"\s{2,}", first)[1:4] == ["Recovering", "yes", "robot-17-navigation-w7h5k (42)"]
     assert_golden("status", second, "(FailureDetected, 1s)", "/cmd_vel", "500 ms", "robot-17-navigation-w7h5k")
     for columns in (40, 80):
-        told = list(lines([found], [], dataclasses.replace(LOOK, columns=columns)))
-        assert max(map(len, told)) <= columns
-        assert "Fallback/Executing is tried" in " ".join(" ".join(told).split())
+        printed = list(lines([found], [], dataclasses.replace(LOOK, columns=columns)))
+        assert max(map(len, printed)) <= columns
+        assert "Fallback/Executing is tried" in " ".join(" ".join(printed).split())
     assert_golden("status", in_a_line(found), "FailureDetected", "/cmd_vel", "500 ms", "robot-17-navigation-w7h5k")
 
 

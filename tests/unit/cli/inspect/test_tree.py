@@ -64,10 +64,10 @@ def test_the_tree_is_printed_and_kubectl_gets_namespace_and_context(
     cluster: Cluster, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["robot-1-drive", "-n", "fleet", "--context", "lab"]) == 0
-    told = capsys.readouterr().out
-    assert told.startswith("fleet/robot-1-drive  Healthy\n")
-    assert "  scan " in told
-    assert "\x1b" not in told, "colours are for terminals"
+    output = capsys.readouterr().out
+    assert output.startswith("fleet/robot-1-drive  Healthy\n")
+    assert "  scan " in output
+    assert "\x1b" not in output, "colours are for terminals"
     for line in cluster.asked.read_text().splitlines():
         assert line.startswith("--namespace=fleet --context=lab ")
     assert "-l understudy.dev/monitored=robot-1-drive,understudy.dev/component=monitor" in cluster.asked.read_text()
@@ -79,9 +79,9 @@ def test_json_output_is_the_answer_of_the_monitor(
 ) -> None:
     cluster.state = state(health="Failed")
     assert main(["robot-1-drive", "-o", form]) == 1, "a script learns that it isn't healthy"
-    told = capsys.readouterr().out
-    assert told.startswith("{") is (form == "json")
-    assert yaml.safe_load(told) == cluster.state
+    output = capsys.readouterr().out
+    assert output.startswith("{") is (form == "json")
+    assert yaml.safe_load(output) == cluster.state
 
 
 @pytest.mark.parametrize(
@@ -99,10 +99,10 @@ def test_an_obstacle_is_reported(
 ) -> None:
     cluster.tell(**more)
     assert main(["robot-2"]) == 2
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert told.err.startswith("understudy tree: ")
-    assert words in told.err
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("understudy tree: ")
+    assert words in captured.err
 
 
 def test_a_missing_kubectl_is_reported(

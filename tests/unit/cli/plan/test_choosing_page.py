@@ -35,9 +35,9 @@ def test_the_page_has_the_figures_of_the_code() -> None:
 def test_the_page_has_the_orders_that_the_requirements_produce() -> None:
     table = rows("With one pool of each readiness and the published figures")
     assert len(table) == len(get_args(Level))
-    for usage, *told in table:
+    for usage, *usages in table:
         before = ""
-        for availability, cell in zip(get_args(Level), told, strict=True):
+        for availability, cell in zip(get_args(Level), usages, strict=True):
             asked = Requirements.model_validate({"resourceUsage": usage.strip("`"), "availability": availability})
             found = order_strategies(asked, POOLS, Figures())
             words, _, missed = cell.partition(", and it isn't met")

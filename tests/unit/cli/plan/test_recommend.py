@@ -182,8 +182,8 @@ def test_options_replace_the_requirements(file, capsys):
 
 def test_unmet_requirements_are_reported_and_set_the_exit_status(file, capsys):
     assert main([file(), "--availability", "High", "--resource-usage", "Low"]) == NOT_MET
-    told = capsys.readouterr().out
-    assert_golden("plan", told, "availability High", "500 ms", "Uninitialized (spare)")
+    output = capsys.readouterr().out
+    assert_golden("plan", output, "availability High", "500 ms", "Uninitialized (spare)")
 
 
 def test_the_measured_usage_of_a_standby_is_used(file, capsys):
@@ -221,9 +221,9 @@ def test_recoveries_in_the_cluster_are_used_as_measurements(file, cluster, capsy
 def test_an_unavailable_cluster_is_reported_and_fatal_only_if_requested(file, cluster, capsys):
     cluster("echo 'connection refused' >&2; exit 1")
     assert main([file()]) == MET
-    said = capsys.readouterr()
-    assert_golden("plan", said.err, "connection refused")
-    assert "830 ms  published" in said.out
+    captured = capsys.readouterr()
+    assert_golden("plan", captured.err, "connection refused")
+    assert "830 ms  published" in captured.out
     assert main([file(), "--context", "fleet"]) == ERROR
     assert "understudy recommend: connection refused" in capsys.readouterr().err
 
@@ -283,14 +283,14 @@ def test_impossible_requests_are_reported_with_a_solution(file, capsys, texts, m
 
 
 @pytest.mark.parametrize(
-    "given", ["Initialised=0.4", "Initialized", "Executing=-1", "Restart=1", "Executing=nan", "Executing=%"]
+    "value", ["Initialised=0.4", "Initialized", "Executing=-1", "Restart=1", "Executing=nan", "Executing=%"]
 )
-def test_an_invalid_cpu_share_is_refused_by_name(file, capsys, given):
+def test_an_invalid_cpu_share_is_refused_by_name(file, capsys, value):
     with pytest.raises(SystemExit) as ended:
-        main([file(), "--cpu", given])
+        main([file(), "--cpu", value])
     assert ended.value.code == 2
-    said = f"--cpu: found '{given}'; give one of Uninitialized, Initialized, Executing with a share, such as Initialized=0.4"
-    assert said in capsys.readouterr().err
+    message = f"--cpu: found '{value}'; give one of Uninitialized, Initialized, Executing with a share, such as Initialized=0.4"
+    assert message in capsys.readouterr().err
 
 
 def _items() -> list[dict[str, Any]]:

@@ -104,7 +104,7 @@ def test_fallback_resources_and_refill_time_change_the_result(capsys):
 def test_duration_options_equal_the_options_in_seconds(capsys):
     numbers = ["--recovery-seconds", "0.5", "--refill-seconds", "90", "--restart-seconds", "12"]
     durations = ["--recovery", "500ms", "--refill", "1m30s", "--restart", "12s"]
-    plain, same = (printed(capsys, "--fallbacks", "4", *given, "-o", "json") for given in (numbers, durations))
+    plain, same = (printed(capsys, "--fallbacks", "4", *arguments, "-o", "json") for arguments in (numbers, durations))
     assert same == plain
     assert json.loads(plain)["outcome"]["down"] < 12
 

@@ -43,12 +43,12 @@ def failed(number: int, seconds_ago: float, reason: str = "no /cmd_vel for 500 m
         Attempt(strategy="Fallback/Executing", result="NotAvailable", message="no standby is ready"),
         Attempt(strategy="Restart", pod="robot-z9", result="NotVerified", message="no output within 60 s"),
     ]
-    given: dict[str, Any] = {
+    defaults: dict[str, Any] = {
         "result": "Failed", "strategy": "", "recovery_seconds": None, "attempts": attempts, "new": "", "reason": reason,
         "parts": (0.5, 3.5, 60.0, 0.0),
         "moments": Moments(last_healthy=ago(seconds_ago), detected=ago(seconds_ago - 0.5)),
     }  # fmt: skip
-    return fleet.recovery(number, seconds_ago, **(given | more))
+    return fleet.recovery(number, seconds_ago, **(defaults | more))
 
 
 def restart(number: int, seconds_ago: float, **more: Any) -> Recovery:

@@ -109,8 +109,8 @@ def test_the_data_can_be_downloaded_from_the_page() -> None:
 
 def test_incomplete_data_is_reported_first() -> None:
     assert "The data on this period is incomplete." in read(*fleet.robots()).text
-    told = read(fleet.forgetful()).texts_with("of 12", "all 12")
-    assert_golden("report", told, "robot-2-drive: 2 of 12", "2026-11-22 04:06:24Z", "all 12 recoveries", "10 are")
+    texts = read(fleet.forgetful()).texts_with("of 12", "all 12")
+    assert_golden("report", texts, "robot-2-drive: 2 of 12", "2026-11-22 04:06:24Z", "all 12 recoveries", "10 are")
     assert "The data on this period is incomplete" not in read(fleet.whole()).text
     assert_golden("report", read(fleet.quiet()).texts_with("no recovery"), "no recovery")
 
@@ -122,13 +122,13 @@ def test_only_robots_with_events_have_a_lane() -> None:
 
 
 def test_the_page_reports_that_a_period_has_no_recoveries() -> None:
-    told = read(fleet.in_vain(), period=Span(NOW - 60.0, NOW)).texts_with("No recovery", "No interruption")
-    assert_golden("report", told, "2026-11-22 13:06:24Z", "No recovery", "No interruption")
+    texts = read(fleet.in_vain(), period=Span(NOW - 60.0, NOW)).texts_with("No recovery", "No interruption")
+    assert_golden("report", texts, "2026-11-22 13:06:24Z", "No recovery", "No interruption")
 
 
 def test_a_failed_recovery_is_shown_with_all_attempts() -> None:
-    told = read(fleet.in_vain()).texts_with("Fallback/Executing", "Restart with", "FAILED")
-    assert_golden("report", told, "Fallback/Executing", "Restart with robot-z9", "60 s", "FAILED")
+    texts = read(fleet.in_vain()).texts_with("Fallback/Executing", "Restart with", "FAILED")
+    assert_golden("report", texts, "Fallback/Executing", "Restart with robot-z9", "60 s", "FAILED")
 
 
 def test_robots_of_several_namespaces_are_distinguished() -> None:

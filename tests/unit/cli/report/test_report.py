@@ -31,9 +31,9 @@ def test_the_command_writes_a_page_and_csv_files(
     stand: FakeKubectl, written: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["-n", "fleet", "-o", str(written), "--csv", str(written.parent / "data")]) == 0
-    told = capsys.readouterr().out.removeprefix(f"{written}: ")
+    output = capsys.readouterr().out.removeprefix(f"{written}: ")
     assert_golden(
-        "report", told, "5 robots", "18 recoveries", "2026-11-21 14:06:24Z", "2026-11-22 14:06:24Z", "1 robot"
+        "report", output, "5 robots", "18 recoveries", "2026-11-21 14:06:24Z", "2026-11-22 14:06:24Z", "1 robot"
     )
     robots, *pods = stand.asked
     assert robots.startswith("--namespace=fleet get robotworkloads.understudy.dev -o json")
@@ -109,10 +109,10 @@ def test_unavailable_information_is_reported(
 ) -> None:
     stand.tell([others.spare(), {"kind": "Namespace", "metadata": {"name": "lab"}}])
     assert main([*arguments, "-o", str(written)]) == 2
-    told = capsys.readouterr()
-    assert (told.out, written.exists()) == ("", False)
-    assert told.err.startswith("understudy report: ")
-    assert words in told.err
+    captured = capsys.readouterr()
+    assert (captured.out, written.exists()) == ("", False)
+    assert captured.err.startswith("understudy report: ")
+    assert words in captured.err
 
 
 def test_an_unwritable_path_is_reported(written: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -22,7 +22,7 @@ def record(folder: Path) -> Path:
 
     twist, odometry = "geometry_msgs/msg/Twist", "nav_msgs/msg/Odometry"
     battery = "sensor_msgs/msg/BatteryState"
-    said = [
+    messages = [
         Said(0.0, "/battery_state", battery, {"percentage": 0.3}),
         *steady("/scan", "sensor_msgs/msg/LaserScan", 0, 60, 10),
         *steady("/odom", odometry, 0, 33, 30),
@@ -34,4 +34,4 @@ def record(folder: Path) -> Path:
         goal(40.2, 4),
         *(Said(float(at), "/battery_state", battery, {"percentage": 0.3 - at * 0.003}) for at in range(1, 60)),
     ]
-    return write(folder / "patrol", said)
+    return write(folder / "patrol", messages)

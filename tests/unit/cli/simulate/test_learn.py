@@ -33,8 +33,8 @@ def jittery(topic: str, end: float, hertz: float) -> list[Said]:
 
 def learn(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, dict[str, Any], str]:
     status = main(list(arguments))
-    told = capsys.readouterr()
-    return status, yaml.safe_load(told.out), told.err
+    captured = capsys.readouterr()
+    return status, yaml.safe_load(captured.out), captured.err
 
 
 def failures(bag: Path, tree: dict[str, Any]) -> list[str]:
@@ -54,39 +54,39 @@ def test_learnt_leaves_pass_their_recording_and_fail_slower_faster_or_silent_one
     assert 3.7 < float(Band.parse(steady["rate"]).low or 0) <= 4
     assert 6 <= float(Band.parse(steady["rate"]).high or 0) < 6.5
     assert failures(good, tree) == []
-    for name, said, reason in (
+    for name, messages, reason in (
         ("slow", jittery("/a", 40, 13), r"/a at [0-9.]+ Hz, below [0-9.]+ Hz over .*"),
         ("fast", jittery("/a", 40, 30), r"/a at [0-9.]+ Hz, above [0-9.]+ Hz over .*"),
         ("silent", [one for one in jittery("/a", 40, 20) if not 20 < one.at < 21], "no /a for [0-9]+ ms"),
     ):
-        found = failures(write(tmp_path / name, said), {"parallel": tree["parallel"][:1]})
+        found = failures(write(tmp_path / name, messages), {"parallel": tree["parallel"][:1]})
         assert re.fullmatch(reason, found[0]), (name, found)
 
 
 def test_bounds_that_the_recording_violates_are_reported_with_status_1(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    said = [*every("/a", TWIST, 0, 30, 40), *every("/a", TWIST, 32, 60, 40)]
-    status, tree, err = learn(capsys, "--bag", str(write(tmp_path / "bag", said)), "--topic", "/a")
+    messages = [*every("/a", TWIST, 0, 30, 40), *every("/a", TWIST, 32, 60, 40)]
+    status, tree, err = learn(capsys, "--bag", str(write(tmp_path / "bag", messages)), "--topic", "/a")
     assert status == 1
     assert tree["parallel"][0]["topic"]["gap"] == "50ms", "one gap of thousands is no measure"
     assert_golden("simulate", err, "30.025 s", "/a", "50 ms")
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (["--topic", "/aa"], "the bag has no topic '/aa', did you mean '/a'?"),
         (["--topic", "/few"], "the bag has 3 messages of /few; at least 20 are required"),
     ],
 )
 def test_input_without_anything_to_learn_ends_with_status_2(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], told: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
 ) -> None:
     bag = write(tmp_path / "bag", [*every("/a", TWIST, 0, 30, 10), *every("/few", TWIST, 0, 3, 1)])
     assert main(["--bag", str(bag), *arguments]) == 2
     printed = capsys.readouterr()
-    assert told in printed.err
+    assert message in printed.err
     assert printed.out == ""
 
 
@@ -103,12 +103,12 @@ def test_the_extremes_equal_the_rates_that_the_leaf_measures(gaps: list[int], wi
     times = [total / 1000 for total in itertools.accumulate(gaps)]
     slowest, fastest = extremes(times, window)
     moments = [at for at in sorted({*times, *(at + window for at in times)}) if times[0] + window <= at <= times[-1]]
-    seen = [sum(now < at + window and at <= now for at in times) for now in moments]
+    counts = [sum(now < at + window and at <= now for at in times) for now in moments]
     most = max(sum(now < at + window and at <= now for at in times) for now in times)
     if times[-1] - times[0] < window:
         assert (slowest, fastest) == (0.0, 0.0)
     else:
-        assert (slowest, fastest) == (min(seen) / window, most / window)
+        assert (slowest, fastest) == (min(counts) / window, most / window)
 
 
 @settings(max_examples=25, deadline=None)

@@ -37,7 +37,7 @@ class Tried:
     def __init__(
         self,
         folder: Path,
-        said: list[Said],
+        messages: list[Said],
         tree: str,
         storage: Storage = "mcap",
         also: dict[str, str] | None = None,
@@ -45,7 +45,7 @@ class Tried:
     ) -> None:
         file = folder / "policy.yaml"
         file.write_text(policy(tree, **of))
-        bag = write(folder / "bag", said, storage, also)
+        bag = write(folder / "bag", messages, storage, also)
         with Bag.open(str(bag)) as opened:
             read = policy_file.read(str(file))
             self.found: Replay = replay(read.tree(opened.definitions.fields), read.debounce, opened)
@@ -64,8 +64,8 @@ class Tried:
 
 @pytest.mark.parametrize("storage", BOTH)
 def test_a_silence_is_detected_after_its_gap_and_ends_with_the_next_message(tmp_path: Path, storage: Storage) -> None:
-    said = [*clock(8), *every("/cmd_vel", TWIST, 0, 3, 20), *every("/cmd_vel", TWIST, 5, 8, 20)]
-    found = Tried(tmp_path, said, "{topic: {name: /cmd_vel, gap: 500ms}}", storage).only()
+    messages = [*clock(8), *every("/cmd_vel", TWIST, 0, 3, 20), *every("/cmd_vel", TWIST, 5, 8, 20)]
+    found = Tried(tmp_path, messages, "{topic: {name: /cmd_vel, gap: 500ms}}", storage).only()
     assert found.detected == unix(2.95) + 0.5
     assert (found.leaf, found.reason) == ("cmd_vel", "no /cmd_vel for 500 ms")
     assert (found.onset, found.recovered) == (unix(2.95), unix(5))
@@ -73,8 +73,8 @@ def test_a_silence_is_detected_after_its_gap_and_ends_with_the_next_message(tmp_
 
 @pytest.mark.parametrize("storage", BOTH)
 def test_a_dropped_rate_is_detected_although_messages_arrive(tmp_path: Path, storage: Storage) -> None:
-    said = [*every("/odom", "nav_msgs/msg/Odometry", 0, 5, 30), *every("/odom", "nav_msgs/msg/Odometry", 5, 12, 10)]
-    tried = Tried(tmp_path, said, "{topic: {name: /odom, rate: '> 20 Hz', window: 2s}}", storage)
+    messages = [*every("/odom", "nav_msgs/msg/Odometry", 0, 5, 30), *every("/odom", "nav_msgs/msg/Odometry", 5, 12, 10)]
+    tried = Tried(tmp_path, messages, "{topic: {name: /odom, rate: '> 20 Hz', window: 2s}}", storage)
     assert tried.states("odom") == ["Starting", "Healthy", "Failed"]
     assert unix(5.5) < (tried.only().detected or 0) < unix(7)
     assert tried.only().recovered is None
@@ -83,15 +83,15 @@ def test_a_dropped_rate_is_detected_although_messages_arrive(tmp_path: Path, sto
 @pytest.mark.parametrize("storage", BOTH)
 def test_a_value_is_read_from_the_messages(tmp_path: Path, storage: Storage) -> None:
     levels = [(0, 0.5), (1, 0.2), (2, 0.1), (3, 0.09), (4, 0.4), (5, 0.4)]
-    said = [Said(at, "/battery", BATTERY, {"percentage": level}) for at, level in levels]
+    messages = [Said(at, "/battery", BATTERY, {"percentage": level}) for at, level in levels]
     tree = f'{{value: {{topic: /battery, type: {BATTERY}, holds: "percentage > 0.15"}}}}'
-    found = Tried(tmp_path, said, tree, storage).only()
+    found = Tried(tmp_path, messages, tree, storage).only()
     assert (found.detected, found.onset, found.recovered) == (unix(2), unix(1), unix(4))
     assert_golden("simulate", found.reason, "percentage > 0.15", "/battery", "percentage was 0.1")
 
 
 def test_nested_fields_arrays_and_booleans_are_decoded_as_in_ros(tmp_path: Path) -> None:
-    said = [
+    messages = [
         Said(
             0,
             "/battery",
@@ -107,7 +107,7 @@ def test_nested_fields_arrays_and_booleans_are_decoded_as_in_ros(tmp_path: Path)
     ]
     holds = "present and header.frame_id == 'a' and power_supply_status == 2 and len(cell_voltage) == 2"
     holds += " and all(v > 3 for v in cell_voltage)"
-    found = Tried(tmp_path, said, f'{{value: {{topic: /battery, type: {BATTERY}, holds: "{holds}"}}}}').only()
+    found = Tried(tmp_path, messages, f'{{value: {{topic: /battery, type: {BATTERY}, holds: "{holds}"}}}}').only()
     assert found.detected == unix(1)
 
 
@@ -130,7 +130,7 @@ def test_diagnostics_ages_and_transforms_are_evaluated_as_in_a_live_graph(tmp_pa
         stamp = {"sec": nanoseconds // 10**9, "nanosec": nanoseconds % 10**9}
         return Said(at, "/scan", SCAN, {"header": {"stamp": stamp}})
 
-    said = [
+    messages = [
         *(diagnostics(at, 2 if at == 3 else 0) for at in range(9)),
         *(transform(at / 10, "base" if at < 60 else "arm") for at in range(90)),
         *(scan(at / 10, 0.4 if 45 <= at < 50 else 0.05) for at in range(90)),
@@ -139,7 +139,7 @@ def test_diagnostics_ages_and_transforms_are_evaluated_as_in_a_live_graph(tmp_pa
         "{parallel: [{diagnostics: {name: camera, worst: WARN}}, {transform: {parent: odom, child: base, gap: 500ms}}, "
         f"{{age: {{topic: /scan, type: {SCAN}, most: 300ms}}}}]}}"
     )
-    tried = Tried(tmp_path, said, tree)
+    tried = Tried(tmp_path, messages, tree)
     assert [(one.detected, one.leaf) for one in tried.detections] == [
         (unix(3), "diagnostics"),
         (unix(4.5), "scan.age"),
@@ -153,26 +153,26 @@ def test_diagnostics_that_a_monitor_published_are_not_evidence(tmp_path: Path) -
             at, "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", {"status": [{"name": name, "level": level}]}
         )
 
-    said = [*clock(9), *(diagnostics(at, "understudy: robot-1-drive", 2) for at in range(9))]
-    said += [diagnostics(at + 0.5, "camera", 0) for at in range(4)]
+    messages = [*clock(9), *(diagnostics(at, "understudy: robot-1-drive", 2) for at in range(9))]
+    messages += [diagnostics(at + 0.5, "camera", 0) for at in range(4)]
     gap = "{name: heard, topic: {name: /diagnostics, gap: 2s}}"
-    tried = Tried(tmp_path, said, f"{{parallel: [{{diagnostics: {{worst: WARN}}}}, {gap}]}}")
+    tried = Tried(tmp_path, messages, f"{{parallel: [{{diagnostics: {{worst: WARN}}}}, {gap}]}}")
     assert tried.states("diagnostics") == ["Starting", "Healthy"]
     assert tried.only().detected == unix(3.5) + 2.0
 
 
 def test_the_status_of_an_action_determines_whether_a_task_is_active(tmp_path: Path) -> None:
-    said = [*clock(20), goals(4, 1), goals(5, 1, 2), goals(15, 4), *every("/cmd_vel", TWIST, 5.5, 10, 10)]
+    messages = [*clock(20), goals(4, 1), goals(5, 1, 2), goals(15, 4), *every("/cmd_vel", TWIST, 5.5, 10, 10)]
     tree = "{while: {task_active: {action: /go}}, do: {topic: {name: /cmd_vel, gap: 500ms}}}"
-    tried = Tried(tmp_path, said, tree)
+    tried = Tried(tmp_path, messages, tree)
     assert tried.states("cmd_vel") == ["Idle", "Healthy", "Failed", "Idle"]
     assert tried.only().detected == unix(9.9) + 0.5
     assert tried.only().recovered == unix(15), "it isn't needed any more"
 
 
 def test_a_failure_shorter_than_the_debounce_is_not_detected(tmp_path: Path) -> None:
-    said = [*clock(9), *(Said(at, "/cmd_vel", TWIST) for at in (0, 1, 2.2, 3, 6, 7, 8))]
-    tried = Tried(tmp_path, said, "{topic: {name: /cmd_vel, gap: 1s}}", debounce="300ms")
+    messages = [*clock(9), *(Said(at, "/cmd_vel", TWIST) for at in (0, 1, 2.2, 3, 6, 7, 8))]
+    tried = Tried(tmp_path, messages, "{topic: {name: /cmd_vel, gap: 1s}}", debounce="300ms")
     assert tried.only().failed == unix(3) + 1.0
     assert tried.only().detected == unix(3) + 1.0 + 0.3
     passed = [one for one in tried.found.evaluation.failures if one.detected is None]
@@ -186,9 +186,9 @@ def test_a_topic_that_never_arrives_fails_when_the_grace_time_from_the_bag_start
 
 
 def test_a_recovery_without_a_message_is_recorded_at_its_time(tmp_path: Path) -> None:
-    said = [*clock(9), *every("/odom", TWIST, 0, 3, 10), *every("/odom", TWIST, 3, 4, 30)]
-    tried = Tried(tmp_path, said, "{topic: {name: /odom, rate: '<= 20 Hz', window: 1s}}")
-    last = max(one.at for one in said if one.topic == "/odom")
+    messages = [*clock(9), *every("/odom", TWIST, 0, 3, 10), *every("/odom", TWIST, 3, 4, 30)]
+    tried = Tried(tmp_path, messages, "{topic: {name: /odom, rate: '<= 20 Hz', window: 1s}}")
+    last = max(one.at for one in messages if one.topic == "/odom")
     recovered = tried.only().recovered
     assert recovered is not None
     assert unix(last) < recovered < unix(last) + 1.0, "no message came then"
@@ -204,14 +204,14 @@ def test_leaves_that_a_bag_cannot_answer_are_left_out_and_reported(tmp_path: Pat
     tried = Tried(tmp_path, every("/scan", SCAN, 0, 5, 5), tree)
     assert tried.detections == []
     assert list(tried.found.topics) == ["scan"]
-    told = {leaf: one.why for one in tried.found.left_out for leaf in one.leaves}
-    assert told.keys() == {"imu", "scan.publisher", "sent", "pod.Ready", "a.b.parameter", "driving/scan"}
-    assert told["imu"] == "the bag does not contain /imu"
-    assert "needs the live ROS graph" in told["scan.publisher"]
-    assert_golden("simulate", told["sent"], "/scan")
-    assert_golden("simulate", told["pod.Ready"], "(pod)")
-    assert "needs the live ROS graph" in told["a.b.parameter"]
-    assert "--include-hidden-topics" in told["driving/scan"]
+    reasons = {leaf: one.why for one in tried.found.left_out for leaf in one.leaves}
+    assert reasons.keys() == {"imu", "scan.publisher", "sent", "pod.Ready", "a.b.parameter", "driving/scan"}
+    assert reasons["imu"] == "the bag does not contain /imu"
+    assert "needs the live ROS graph" in reasons["scan.publisher"]
+    assert_golden("simulate", reasons["sent"], "/scan")
+    assert_golden("simulate", reasons["pod.Ready"], "(pod)")
+    assert "needs the live ROS graph" in reasons["a.b.parameter"]
+    assert "--include-hidden-topics" in reasons["driving/scan"]
 
 
 def test_a_tree_without_answerable_leaves_gives_no_verdict(tmp_path: Path) -> None:
@@ -233,10 +233,10 @@ def test_each_gap_is_detected_exactly_when_its_duration_ends(
 ) -> None:
     times = [0.0, *(total / 1000 for total in itertools.accumulate(steps))]
     end = times[-1] + 3
-    said = [*(Said(at, "/cmd_vel", TWIST) for at in times), Said(end, "/clock_of_the_test", "std_msgs/msg/Empty")]
+    messages = [*(Said(at, "/cmd_vel", TWIST) for at in times), Said(end, "/clock_of_the_test", "std_msgs/msg/Empty")]
     tried = Tried(
         tmp_path_factory.mktemp("bag"),
-        said,
+        messages,
         f"{{topic: {{name: /cmd_vel, gap: {gap}ms}}}}",
         storage,
         debounce=f"{debounce}ms",

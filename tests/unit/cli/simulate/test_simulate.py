@@ -25,8 +25,12 @@ TWIST = "geometry_msgs/msg/Twist"
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """With a bag in which /cmd_vel is silent from 2.9 s on, for 2.1 s."""
     monkeypatch.chdir(tmp_path)
-    said = [*every("/cmd_vel", TWIST, 0, 3, 10), *every("/cmd_vel", TWIST, 5, 8, 10), *every("/odom", TWIST, 0, 8, 10)]
-    write(tmp_path / "bag", said)
+    messages = [
+        *every("/cmd_vel", TWIST, 0, 3, 10),
+        *every("/cmd_vel", TWIST, 5, 8, 10),
+        *every("/odom", TWIST, 0, 8, 10),
+    ]
+    write(tmp_path / "bag", messages)
     (tmp_path / "policy.yaml").write_text(policy("{topic: {name: /cmd_vel, gap: 500ms}}"))
     (tmp_path / "patient.yaml").write_text(policy("{topic: {name: /cmd_vel, gap: 3s}}"))
     return tmp_path
@@ -36,11 +40,11 @@ def test_detections_are_printed_with_their_times_and_the_exit_status_is_1(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["policy.yaml", "--bag", "bag"]) == 1
-    told = capsys.readouterr()
-    assert told.err == ""
+    captured = capsys.readouterr()
+    assert captured.err == ""
     assert_golden(
         "simulate",
-        told.out,
+        captured.out,
         "(UTC)",
         "3.400 s",
         "2026-05-28 20:26:43",
@@ -69,15 +73,15 @@ def test_a_single_file_of_a_bag_is_accepted(folder: Path, capsys: pytest.Capture
 
 def test_json_output_contains_the_detections(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["policy.yaml", "--bag", "bag", "-o", "json", "--onset", "2.95"]) == 1
-    told = json.loads(capsys.readouterr().out)
-    assert told["bag"] == {
+    output = json.loads(capsys.readouterr().out)
+    assert output["bag"] == {
         "path": "bag",
         "start": "2026-05-28T20:26:40.000Z",
         "startUnix": 1780000000.0,
         "duration": 7.9,
         "topics": 2,
     }
-    assert told["detections"] == [
+    assert output["detections"] == [
         {
             "detectedAt": 3.4,
             "detectedWall": "2026-05-28T20:26:43.400Z",
@@ -88,15 +92,15 @@ def test_json_output_contains_the_detections(folder: Path, capsys: pytest.Captur
             "reason": "no /cmd_vel for 500 ms",
         }
     ]
-    assert told["onsets"] == [{"at": 2.95, "delay": 0.45}]
-    (leaf,) = told["leaves"]
+    assert output["onsets"] == [{"at": 2.95, "delay": 0.45}]
+    (leaf,) = output["leaves"]
     assert [state["state"] for state in leaf["states"]] == ["Healthy", "Failed", "Healthy"]
     assert main(["policy.yaml", "--bag", "bag", "-o", "yaml", "--onset", "2.95"]) == 1
-    assert yaml.safe_load(capsys.readouterr().out) == told
+    assert yaml.safe_load(capsys.readouterr().out) == output
 
 
 @pytest.mark.parametrize(
-    ("onsets", "told"),
+    ("onsets", "message"),
     [
         (["3"], "Given failure at 3.000 s: detected 400 ms later\n"),
         (["2026-05-28T20:26:43Z"], "Given failure at 3.000 s: detected 400 ms later\n"),
@@ -105,10 +109,10 @@ def test_json_output_contains_the_detections(folder: Path, capsys: pytest.Captur
     ],
 )
 def test_given_onsets_are_printed_next_to_their_detections(
-    folder: Path, capsys: pytest.CaptureFixture[str], onsets: list[str], told: str
+    folder: Path, capsys: pytest.CaptureFixture[str], onsets: list[str], message: str
 ) -> None:
     assert main(["policy.yaml", "--bag", "bag", *(part for one in onsets for part in ("--onset", one))]) == 1
-    assert told in capsys.readouterr().out
+    assert message in capsys.readouterr().out
 
 
 def test_the_grace_option_replaces_the_grace_time_of_the_policy(
@@ -131,7 +135,7 @@ def test_the_plot_shows_detections_and_failed_times(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (["policy.yaml", "--bag", "bag", "--grace", "3"], "--grace: '3' is not a duration: write a number with ms"),
         (["none.yaml", "--bag", "bag"], "none.yaml: No such file or directory; give a file with a FailurePolicy"),
@@ -183,7 +187,7 @@ def test_the_plot_shows_detections_and_failed_times(folder: Path) -> None:
     ],
 )
 def test_unusable_input_ends_with_status_2_and_a_cure(
-    folder: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], told: str
+    folder: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
 ) -> None:
     (folder / "no.mcap").write_bytes(b"not a recording at all, of whatever kind" * 9)
     (folder / "no.db3").write_bytes(b"not a recording at all, of whatever kind" * 9)
@@ -200,7 +204,7 @@ def test_unusable_input_ends_with_status_2_and_a_cure(
     printed = capsys.readouterr()
     assert printed.out == ""
     assert printed.err.startswith("understudy simulate: ")
-    assert told in printed.err
+    assert message in printed.err
 
 
 def test_an_option_selects_one_of_several_policies_by_name(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -95,8 +95,8 @@ class Command:
         if sent is not None:
             self.process.send_signal(sent)
         assert self.process.stderr is not None
-        said = self.process.stderr.read()
-        return self.process.wait(LONG), said
+        errors = self.process.stderr.read()
+        return self.process.wait(LONG), errors
 
 
 @pytest.fixture
@@ -136,9 +136,9 @@ def test_the_start_and_end_of_a_silence_are_reported(
     assert command.until("DETECTED").endswith(" DETECTED chat: no /chat for 3 s")
     publish("/chat")
     command.until("the tree is healthy")
-    status, said = command.ended(signal.SIGINT)
+    status, errors = command.ended(signal.SIGINT)
     assert status == 1
-    assert re.fullmatch(r"understudy watch: failure: \S+Z chat: no /chat for 3 s\n", said)
+    assert re.fullmatch(r"understudy watch: failure: \S+Z chat: no /chat for 3 s\n", errors)
     assert all(re.match(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z ", line) for line in command.told)
 
 
@@ -148,14 +148,14 @@ def test_a_run_without_failures_ends_with_status_0(
     publish("/chat")
     command = watch("{topic: {name: /chat, gap: 20s}}")
     command.until("chat is healthy")
-    status, said = command.ended(signal.SIGTERM)
-    assert (status, said) == (0, "understudy watch: no failure was detected\n")
+    status, errors = command.ended(signal.SIGTERM)
+    assert (status, errors) == (0, "understudy watch: no failure was detected\n")
 
 
 def test_the_command_ends_after_its_time_and_reports_topics_that_never_arrived(watch: Callable[..., Command]) -> None:
-    status, said = watch("{topic: {name: /never, type: std_msgs/msg/String, gap: 1s}}", "--for", "300ms").ended()
+    status, errors = watch("{topic: {name: /never, type: std_msgs/msg/String, gap: 1s}}", "--for", "300ms").ended()
     assert status == 0
-    assert_golden("simulate", said, "/never", "30 s")
+    assert_golden("simulate", errors, "/never", "30 s")
 
 
 def test_the_grace_option_replaces_the_grace_time_of_the_policy(watch: Callable[..., Command]) -> None:
@@ -183,9 +183,9 @@ def test_leaves_that_need_the_cluster_are_left_out_and_reported(
 
 
 def test_a_tree_of_cluster_leaves_only_is_refused(watch: Callable[..., Command]) -> None:
-    status, said = watch("{pod: {restarts: 2, window: 10m}}").ended()
+    status, errors = watch("{pod: {restarts: 2, window: 10m}}").ended()
     assert status == 2
-    assert_golden("simulate", said, "pod.restarts")
+    assert_golden("simulate", errors, "pod.restarts")
 
 
 def test_watching_only_subscribes_and_never_publishes(
@@ -195,12 +195,12 @@ def test_watching_only_subscribes_and_never_publishes(
     command = watch("{parallel: [{topic: {name: /chat, gap: 20s}}, {publisher: {topic: /chat, node: /application}}]}")
     command.until("the tree is healthy")
     name = f"understudy_watch_{command.process.pid}"
-    seen: list[Any] = []
+    received: list[Any] = []
     end = time.monotonic() + LONG
-    while not seen and time.monotonic() < end:
-        seen = [one for one in graph.subscribers("/chat") if one.node == f"/{name}"]
+    while not received and time.monotonic() < end:
+        received = [one for one in graph.subscribers("/chat") if one.node == f"/{name}"]
         time.sleep(0.02)
-    assert len(seen) == 1
+    assert len(received) == 1
     own = graph.node.get_publisher_names_and_types_by_node(name, "/")
     assert {topic for topic, _ in own} <= {"/parameter_events"}
     assert graph.node.get_service_names_and_types_by_node(name, "/") == []

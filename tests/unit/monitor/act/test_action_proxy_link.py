@@ -96,19 +96,19 @@ def socket(tmp_path: Path) -> Path:
     return tmp_path / "tasks.sock"
 
 
-def link(socket: Path, seen: View, world: World) -> asyncio.Task[None]:
-    return asyncio.create_task(ActionProxyLink(socket, seen, world, world, world, world.notices).run())  # type: ignore[arg-type]
+def link(socket: Path, task_view: View, world: World) -> asyncio.Task[None]:
+    return asyncio.create_task(ActionProxyLink(socket, task_view, world, world, world, world.notices).run())  # type: ignore[arg-type]
 
 
 async def test_the_proxy_receives_every_change_and_its_report_is_shown_even_if_it_starts_late(socket: Path) -> None:
-    world, seen = World([ACTIVE, STANDBY]), view(TASK)
-    running = link(socket, seen, world)
-    heard: list[ControlState] = []
+    world, task_view = World([ACTIVE, STANDBY]), view(TASK)
+    running = link(socket, task_view, world)
+    states: list[ControlState] = []
     tasks = [{"action": "/goto", "active": 2, "resent": 1, "message": "", "served": True}]
-    talk = MonitorSocket(heard.append, lambda: {"tasks": tasks, "epoch": 3})
+    talk = MonitorSocket(states.append, lambda: {"tasks": tasks, "epoch": 3})
     server = await talk.listen(socket)
-    await eventually(lambda: heard)
-    first = heard[0]
+    await eventually(lambda: states)
+    first = states[0]
     assert (first.workload, first.epoch, first.active, first.settled) == ("w", 3, "1", True)
     assert (first.rules[0].action, first.rules[0].on_failover, first.rules[0].abort_grace) == ("/goto", "Resend", 1.5)
     assert [(p.pod, p.ip, p.token, p.executing) for p in first.peers] == [
@@ -119,9 +119,9 @@ async def test_the_proxy_receives_every_change_and_its_report_is_shown_even_if_i
     assert (world.notices.status.task_statuses[0].active, world.notices.status.task_statuses[0].resent) == (2, 1)
     assert world.notices.conditions[CONDITION][:2] == ("True", "Serving")
     world.notices.set(health="Recovering")
-    await eventually(lambda: not heard[-1].settled)
+    await eventually(lambda: not states[-1].settled)
     world.state = GateState(epoch=4, active="w-2", active_uid="2")
-    await eventually(lambda: heard[-1].active == "2" and heard[-1].epoch == 4)
+    await eventually(lambda: states[-1].active == "2" and states[-1].epoch == 4)
     tasks[0]["message"] = "robots_msgs/action/Dock is not installed"
     talk.send_state()
     await eventually(lambda: world.notices.conditions[CONDITION][:2] == ("False", "TypeNotInstalled"))
@@ -140,8 +140,8 @@ async def test_a_workload_without_tasks_has_no_condition_about_them(socket: Path
 
 async def test_a_reference_with_tasks_reports_that_there_is_no_proxy(socket: Path) -> None:
     world = World([ACTIVE])
-    seen = view(TASK, problem="no agent there", template=None, workloadRef={"kind": "Deployment", "name": "arm"})
-    running = link(socket, seen, world)
+    task_view = view(TASK, problem="no agent there", template=None, workloadRef={"kind": "Deployment", "name": "arm"})
+    running = link(socket, task_view, world)
     await eventually(lambda: world.notices.conditions.get(CONDITION) == ("False", "NoAgent", "no agent there"))
     running.cancel()
 

@@ -103,8 +103,8 @@ def test_labels_are_named_after_the_constants() -> None:
 
 
 def test_robots_are_witnesses_anywhere_and_other_pods_only_on_other_nodes() -> None:
-    heard = readers("10.1.1.2", "10.1.2.2", "10.1.1.1")
-    found = witnesses(ACTIVE, PODS, workload="w", readers=heard, robots=["203.0.113.7/32", "198.51.100.0/24"])
+    reachable = readers("10.1.1.2", "10.1.2.2", "10.1.1.1")
+    found = witnesses(ACTIVE, PODS, workload="w", readers=reachable, robots=["203.0.113.7/32", "198.51.100.0/24"])
     assert found[:2] == ["203.0.113.7", "10.1.1.2"]
     assert set(found[2:4]) == {"10.1.2.3", "10.1.3.1"}, "of as many nodes as possible"
     assert len(found) == 5
@@ -256,22 +256,22 @@ async def test_an_inactive_instance_may_continue_after_its_node_could_learn_of_t
     task = asyncio.create_task(world.permits.run())
     await eventually(lambda: agents.told)
     agents.statuses |= {"uid-a": cut_off(), "uid-s": cut_off()}
-    begun = time.monotonic()
+    started_at = time.monotonic()
     world.wakeups.permits.set()
     await eventually(lambda: agents.words("uid-a"))
     assert agents.words("uid-s") == []
-    assert time.monotonic() - begun < 0.3
+    assert time.monotonic() - started_at < 0.3
     await eventually(lambda: agents.words("uid-s"))
-    assert time.monotonic() - begun >= 0.3
+    assert time.monotonic() - started_at >= 0.3
 
     agents.statuses["uid-s"] = running()
     world.wakeups.permits.set()
     await eventually(lambda: "word" not in agents.last("uid-s"))
     agents.statuses["uid-s"] = cut_off()
-    told = len(agents.words("uid-s"))
+    sent = len(agents.words("uid-s"))
     world.wakeups.permits.set()
     await asyncio.sleep(0.15)
-    assert len(agents.words("uid-s")) == told, "each time anew"
+    assert len(agents.words("uid-s")) == sent, "each time anew"
     task.cancel()
 
 
@@ -282,8 +282,8 @@ async def test_a_replaced_instance_must_stay_held_as_long_as_it_exists() -> None
     task = asyncio.create_task(world.permits.run())
     await eventually(lambda: agents.words("uid-a"))
     committed, world.current.progress = world.current.progress, None
-    for told in (committed, recovery(Instance("p", "uid-p"))):  # by the gate, which names the last one only
-        world.commit(replace(AFTER, recovery=told))
+    for named in (committed, recovery(Instance("p", "uid-p"))):  # by the gate, which names the last one only
+        world.commit(replace(AFTER, recovery=named))
         count = len(agents.words("uid-a"))
         await eventually(lambda count=count: len(agents.words("uid-a")) > count + 1)  # type: ignore[misc]
     assert set(agents.words("uid-a")) == {"Stay"}

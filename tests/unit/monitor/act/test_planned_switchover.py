@@ -88,12 +88,12 @@ class GivenOptions(StrategyOptions):
 class Scene:
     """A monitor's switchovers in a world that w-1 drives, with w-2 as its standby."""
 
-    def __init__(self, *strategies: Strategy, told: Told | None = None, **standby: Any) -> None:
+    def __init__(self, *strategies: Strategy, notices: Told | None = None, **standby: Any) -> None:
         self.store = Store(beside=True)
         self.store.add("w-1", node="node-1")
         self.store.add("w-2", **{"pool": "hot", "node": "node-2"} | standby)
         self.store.gate = GateState(epoch=1, active="w-1", active_uid="uid-w-1")
-        self.told = told or Told()
+        self.told = notices or Told()
         self.objects = ClusterObjects(notices=self.told)
         self.ask(None)
         self.drain()
@@ -190,7 +190,7 @@ async def test_a_new_monitor_does_not_repeat_a_request_even_after_drains() -> No
     assert found is not None
     assert found.progress.switchover == "Drain"
     await scene.switch(found)
-    again = Scene(told=scene.told)
+    again = Scene(notices=scene.told)
     again.ask(asked)
     assert await again.looked(0.1) is None
 
@@ -201,7 +201,7 @@ async def test_a_new_monitor_starts_again_with_a_switchover_that_was_being_prepa
     scene.ask(asked := request("failover", time.time()))
     assert await scene.looked(0.05) is None
     assert scene.told.phase == "Preparing"
-    again = Scene(told=scene.told)
+    again = Scene(notices=scene.told)
     again.ask(asked)
     assert await again.looked() is not None
     assert scene.told.reasons == ["SwitchoverBegun"], "which isn't told twice"

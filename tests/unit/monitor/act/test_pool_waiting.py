@@ -111,13 +111,13 @@ async def test_the_place_in_the_queue_is_reported_in_the_condition_and_in_one_ev
     line = PoolQueue(view(MemoryClient(), "w"), notices)
     notices.condition("Recovering", "True", "FailureDetected", "no /cmd_vel for 500 ms")
     line.waits(me, 1, 3)
-    said = notices.status.find("Recovering")
-    assert said is not None
-    assert (said.status, said.reason) == ("True", "WaitingForPod")
-    assert said.message.startswith("no /cmd_vel for 500 ms; since ")
+    condition = notices.status.find("Recovering")
+    assert condition is not None
+    assert (condition.status, condition.reason) == ("True", "WaitingForPod")
+    assert condition.message.startswith("no /cmd_vel for 500 ms; since ")
     assert_golden(
         "monitor",
-        re.sub(r"\d\d:\d\d:\d\d", "TIME", said.message),
+        re.sub(r"\d\d:\d\d:\d\d", "TIME", condition.message),
         "FallbackPool spare",
         "number 2 of 3",
         "poolPriority 5",
@@ -126,10 +126,10 @@ async def test_the_place_in_the_queue_is_reported_in_the_condition_and_in_one_ev
     assert "number 1 of 2" in notices.conditions["Recovering"][2]
     assert [(kind, reason) for kind, reason, _ in notices.events] == [("Warning", "WaitingForPod")]
     line.served(me, "spare-x")
-    said = notices.status.find("Recovering")
-    assert said is not None
-    assert (said.status, said.reason) == ("True", "FailureDetected")
-    assert said.message.startswith("no /cmd_vel for 500 ms; claimed spare-x after ")
+    condition = notices.status.find("Recovering")
+    assert condition is not None
+    assert (condition.status, condition.reason) == ("True", "FailureDetected")
+    assert condition.message.startswith("no /cmd_vel for 500 ms; claimed spare-x after ")
     line.waits(me, 0, 1)
     assert "; claimed" in notices.conditions["Recovering"][2], "a second wait of the same recovery goes on from there"
     line.gave_up(me)
@@ -156,6 +156,6 @@ def test_a_strategy_has_the_wait_of_the_policy_and_the_priority_of_the_workload(
     ]
     objects = ClusterObjects()
     queue = PoolQueue(objects.view, objects.notices)
-    for given, priority in (({}, 0), ({"poolPriority": 100}, 100)):
-        objects.put_workload(**given)
+    for spec, priority in (({}, 0), ({"poolPriority": 100}, 100)):
+        objects.put_workload(**spec)
         assert queue.priority == priority

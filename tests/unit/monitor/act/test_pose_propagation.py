@@ -201,19 +201,21 @@ async def test_a_pose_that_cannot_be_propagated_is_reported(
 async def test_a_standby_receives_propagated_poses(monitor: Monitor, robot: Robot) -> None:
     monitor.waiting = [(STANDBY, 0.1)]
     await monitor.until(
-        lambda: any(s.motion and not s.motion.missing for _, given in monitor.agents.given for s in given.samples),
+        lambda: any(
+            s.motion and not s.motion.missing for _, kept_state in monitor.agents.given for s in kept_state.samples
+        ),
         each=robot.say,
     )
 
 
 async def test_the_state_restored_in_a_recovery_is_reported(monitor: Monitor) -> None:
-    given = RestoredState(name="/amcl_pose", restored=True, age_seconds=0.75, carried_metres=0.4321)
-    recovery = Recovery(id="1", reason="x", result="Recovered", to_pod="w-2", state=[given])
+    restored = RestoredState(name="/amcl_pose", restored=True, age_seconds=0.75, carried_metres=0.4321)
+    recovery = Recovery(id="1", reason="x", result="Recovered", to_pod="w-2", state=[restored])
     monitor.state_manager.report_restored(recovery)
     status, reason, message = monitor.told.conditions["StateRestored"]
     assert (status, reason) == ("True", "Restored")
     assert_golden("monitor", message, "w-2", "/amcl_pose", "0.8 s", "0.43 m")
-    uncertain = given.model_copy(
+    uncertain = restored.model_copy(
         update={"message": "no /odom was received for 4.0 s of the time over which the pose was propagated"}
     )
     monitor.state_manager.report_restored(recovery.model_copy(update={"state": [uncertain]}))

@@ -93,10 +93,10 @@ class TestUnattended:
         assert found.after == 101.0
         found.conclude(kind)
         assert found.after is None
-        begun = time.time()
+        started_at = time.time()
         found.conclude("NothingVerified")
         assert found.after is not None
-        assert found.after >= begun
+        assert found.after >= started_at
 
     @given(
         st.lists(
@@ -179,14 +179,14 @@ async def test_the_robot_receives_safe_commands_at_their_period_until_an_instanc
         await asyncio.sleep(0.02)
     await asyncio.sleep(0.3)
     assert safe.sent == 0, "somebody drives"
-    waited.begun = begun = time.time()
-    heard: list[Any] = []
-    while len(heard) < 5:
-        assert time.time() < begun + 20
+    waited.begun = started_at = time.time()
+    commands: list[Any] = []
+    while len(commands) < 5:
+        assert time.time() < started_at + 20
         await asyncio.sleep(0.02)
-        heard += received(subscription)
-        assert not safe.sent or time.time() >= begun + 0.2, "not before its time"
-    assert {message.linear.x for message in heard} == {-0.1}
+        commands += received(subscription)
+        assert not safe.sent or time.time() >= started_at + 0.2, "not before its time"
+    assert {message.linear.x for message in commands} == {-0.1}
     waited.begun = None
     await asyncio.sleep(0.1)
     sent = safe.sent
@@ -276,7 +276,7 @@ async def test_a_clock_that_is_set_back_does_not_stop_safe_commands(monkeypatch:
 
 async def test_a_clock_of_another_node_that_is_ahead_does_not_delay_safe_commands() -> None:
     async with repeated(time.time() + 3600) as publisher, asyncio.timeout(20):
-        begun = time.monotonic()
+        started_at = time.monotonic()
         while not publisher.sent:
             await asyncio.sleep(0.005)
-        assert time.monotonic() - begun >= 0.045
+        assert time.monotonic() - started_at >= 0.045

@@ -126,8 +126,8 @@ async def test_kept_state_is_available_to_a_recovery_that_an_earlier_monitor_sta
     monitored.objects.put_settings()
     monitored.objects.put_gate(GateState(epoch=4, active=ACTIVE.name, active_uid=ACTIVE.uid))
     failed = [PodIdentity(name=ACTIVE.name, uid=ACTIVE.uid)]
-    begun = Progress.begin("it ended", last_healthy=onset, detected=onset, failed=failed)
-    recovering = asyncio.create_task(monitored.loop.carry_out(begun))
+    progress = Progress.begin("it ended", last_healthy=onset, detected=onset, failed=failed)
+    recovering = asyncio.create_task(monitored.loop.carry_out(progress))
     async with asyncio.timeout(25):
         while not monitored.objects.commits:
             await asyncio.sleep(0.01)
@@ -138,12 +138,12 @@ async def test_kept_state_is_available_to_a_recovery_that_an_earlier_monitor_sta
 async def test_a_topic_that_nobody_publishes_is_reported(monitor: Monitor, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pure, "PATIENCE", 0.3)
     await monitor.until(lambda: monitor.told.conditions.get("StateKept", ("",))[0] == "False")
-    told = (
+    messages = (
         "/amcl_pose: nobody publishes it (state.keep[0] of the policy). State that was never received cannot be restored on "
         "the instance that takes over. Correct the topic's name in the policy, or let the application publish it."
     )
-    assert monitor.told.conditions["StateKept"] == ("False", "NeverCame", told)
-    assert monitor.told.events == [("Warning", "StateNeverCame", told)]
+    assert monitor.told.conditions["StateKept"] == ("False", "NeverCame", messages)
+    assert monitor.told.events == [("Warning", "StateNeverCame", messages)]
     assert monitor.state_manager.select(time.time()).left_out == (
         NotRestored("/amcl_pose", "nobody publishes it", failed=False),
     )
@@ -250,9 +250,9 @@ async def test_standbys_receive_no_state_while_the_workload_is_not_healthy(
 async def test_the_state_restored_in_a_recovery_is_reported(monitor: Monitor) -> None:
     monitor.state = State.model_validate({"keep": [{"topic": "/amcl_pose"}, {"topic": "/map"}]})
     monitor.state_manager.take(monitor.state, {}, ACTIVE.name)
-    given = RestoredState(name="/amcl_pose", restored=True, age_seconds=0.75)
+    restored = RestoredState(name="/amcl_pose", restored=True, age_seconds=0.75)
     missing = RestoredState(name="/map", restored=False, message="what is kept is 61.0 s old, more than maxAge (1m)")
-    recovery = Recovery(id="1", reason="x", result="Recovered", to_pod="w-2", state=[given])
+    recovery = Recovery(id="1", reason="x", result="Recovered", to_pod="w-2", state=[restored])
     monitor.state_manager.report_restored(recovery)
     assert monitor.told.conditions["StateRestored"] == (
         "True",
@@ -260,7 +260,7 @@ async def test_the_state_restored_in_a_recovery_is_reported(monitor: Monitor) ->
         "w-2 was given /amcl_pose (0.8 s old).",
     )
     assert not monitor.told.events
-    monitor.state_manager.report_restored(recovery.model_copy(update={"state": [given, missing]}))
+    monitor.state_manager.report_restored(recovery.model_copy(update={"state": [restored, missing]}))
     assert monitor.told.conditions["StateRestored"][:2] == ("False", "NotRestored")
     ((_, reason, message),) = monitor.told.events
     assert reason == "StateNotRestored"
@@ -309,7 +309,7 @@ def test_only_ready_standbys_of_pools_with_keep_up_are_kept_up_to_date(tmp_path:
     ]
     agents = GivenSenses(ClusterObjects(tmp_path)).agents
     agents.unready["uid-7"] = "starting"
-    given = receivers([ACTIVE, STANDBY, of_source, *others], settings, agents, active_uid=ACTIVE.uid)
-    assert given == [(STANDBY, 2.0), (of_source, 2.0)]
+    targets = receivers([ACTIVE, STANDBY, of_source, *others], settings, agents, active_uid=ACTIVE.uid)
+    assert targets == [(STANDBY, 2.0), (of_source, 2.0)]
     settings.pools.pop(0)
     assert receivers([STANDBY], settings, agents, active_uid=ACTIVE.uid) == []

@@ -87,9 +87,9 @@ async def test_a_hold_ends_when_the_window_has_moved_on(world: World) -> None:
 
 async def test_an_interrupted_hold_continues_and_an_interrupted_recovery_is_finished(world: World) -> None:
     world.spend()
-    begun = failure()
-    begun.moments["decided"] = time.time()
-    assert await world.allowed(begun)
+    first_failure = failure()
+    first_failure.moments["decided"] = time.time()
+    assert await world.allowed(first_failure)
     assert world.objects.commits == []
     held = failure()
     held.moments["held"] = held.moments["fenced"] = time.time() - 30
@@ -157,9 +157,9 @@ def test_a_failure_during_a_pause_is_reported_once_and_not_acted_on(world: World
     world.loop.decide.limits.pauses.update(now)
     for _ in range(2):
         assert world.recovered(Failure("no /cmd_vel", now - 1, now), now) is None
-    told = [message for kind, reason, message in world.notices.events if reason == "RecoveryPostponed"]
-    assert len(told) == 1
-    assert PAUSE.words in told[0]
+    messages = [message for kind, reason, message in world.notices.events if reason == "RecoveryPostponed"]
+    assert len(messages) == 1
+    assert PAUSE.words in messages[0]
     assert world.notices.status.health == "Failed"
     world.loop.act.unattended.conclude(Outcome("NothingVerified", failure()))
     assert world.loop.act.unattended.since is None, "no safe command: somebody may have hands on it"
@@ -201,12 +201,12 @@ async def test_a_new_monitor_waits_for_the_agents_of_standbys_before_its_first_d
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Else a warm standby, to whose agent it has no connection yet, would be passed over for a restart."""
-    heard: list[list[str]] = []
+    decisions: list[list[str]] = []
 
     async def settle(instances: Sequence[Instance], within: float) -> None:
         assert 0 < within <= loop.SETTLE
         assert not world.carried_out
-        heard.append([instance.name for instance in instances])
+        decisions.append([instance.name for instance in instances])
 
     async def start() -> None:
         with contextlib.suppress(TimeoutError):
@@ -219,8 +219,8 @@ async def test_a_new_monitor_waits_for_the_agents_of_standbys_before_its_first_d
     world.objects.put_pods(ACTIVE, Instance(name="w-2", uid="uid-2", ip="10.0.0.2", running=True, ready=True))
     await start()
     await world.loop.carry_through(lost)
-    assert (heard, len(world.carried_out)) == ([["w-2"]], 1)
+    assert (decisions, len(world.carried_out)) == ([["w-2"]], 1)
     monkeypatch.setattr(loop, "SETTLE", 0.0)
     await start()
     await world.loop.carry_through(lost)
-    assert (heard, len(world.carried_out)) == ([["w-2"]], 2)
+    assert (decisions, len(world.carried_out)) == ([["w-2"]], 2)

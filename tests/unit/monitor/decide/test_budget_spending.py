@@ -103,9 +103,9 @@ def test_a_resume_restores_the_whole_budget(world: World) -> None:
     assert world.spending.spent_until(1301.0) == 1800.0
 
 
-@pytest.mark.parametrize("said", ["", "soon", "2026-02-30T00:00:00Z"])
-def test_an_invalid_resume_time_is_ignored(world: World, said: str) -> None:
-    world.resume(said)
+@pytest.mark.parametrize("resume_time", ["", "soon", "2026-02-30T00:00:00Z"])
+def test_an_invalid_resume_time_is_ignored(world: World, resume_time: str) -> None:
+    world.resume(resume_time)
     assert world.spending.resumed is None
 
 

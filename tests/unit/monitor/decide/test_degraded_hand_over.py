@@ -42,91 +42,91 @@ GOAL = BusyReason("task", "a goal of /go is active")
 class TestHandingOver:
     def test_a_switchover_is_due_after_enough_degraded_and_idle_time(self, world: World) -> None:
         world.observer.well, world.observer.work = SLOW, GOAL
-        world.look(10, given=HANDED)
+        world.look(10, policy=HANDED)
         assert world.levels.due is None
         assert_golden("monitor", world.notices.conditions["Degraded"][2], "/go")
         world.observer.work = None
-        world.look(2.5, given=HANDED)
+        world.look(2.5, policy=HANDED)
         assert world.levels.due is None
-        world.look(2, given=HANDED)
+        world.look(2, policy=HANDED)
         assert_golden("monitor", world.levels.due, "/scan", "8.6 Hz", "9 Hz", "2 s", "spec.degraded")
 
     def test_idle_time_must_be_uninterrupted(self, world: World) -> None:
         world.observer.well, world.observer.work = SLOW, GOAL
-        world.look(10, given=HANDED)
+        world.look(10, policy=HANDED)
         for _ in range(5):
             world.observer.work = None
-            world.look(2.5, given=HANDED)
+            world.look(2.5, policy=HANDED)
             world.observer.work = GOAL
-            world.look(0.5, given=HANDED)
+            world.look(0.5, policy=HANDED)
         assert world.levels.due is None
 
     def test_a_switchover_is_not_due_before_enough_degraded_time(self, world: World) -> None:
         world.observer.well = SLOW
-        world.look(4.5, given=HANDED)
+        world.look(4.5, policy=HANDED)
         assert world.levels.due is None
-        world.look(2, given=HANDED)
+        world.look(2, policy=HANDED)
         assert world.levels.due is not None
 
     def test_degradation_during_a_task_leads_to_a_switchover_after_the_task(self, world: World) -> None:
         world.observer.well, world.observer.work = SLOW, GOAL
-        world.look(10, given=HANDED)
+        world.look(10, policy=HANDED)
         world.observer.well, world.observer.work = HEALTHY, None
-        world.look(4, given=HANDED)
+        world.look(4, policy=HANDED)
         assert world.levels.due is not None
-        world.look(8, given=HANDED)
+        world.look(8, policy=HANDED)
         assert world.levels.due is None, "it is well by now"
 
     def test_no_switchover_is_due_while_health_fails_or_degradation_is_unknown(self, world: World) -> None:
         world.observer.well = SLOW
-        world.look(10, given=HANDED)
-        world.look(0.5, given=HANDED, health=FAILED)
+        world.look(10, policy=HANDED)
+        world.look(0.5, policy=HANDED, health=FAILED)
         assert world.levels.due is None
         world.observer.well = UNKNOWN
-        world.look(5, given=HANDED)
+        world.look(5, policy=HANDED)
         assert world.levels.due is None
 
     def test_goals_of_the_proxy_and_an_unavailable_proxy_count_as_work(self, world: World) -> None:
         world.observer.well = SLOW
         world.notices.set_tasks([TaskStatus(action="/go", active=1)])
-        world.look(10, given=HANDED)
+        world.look(10, policy=HANDED)
         assert world.levels.due is None
         world.notices.set_tasks([])
         world.notices.condition("TasksProxied", "False", "ProxyNotReady", "It can't be reached")
-        world.look(10, given=HANDED)
+        world.look(10, policy=HANDED)
         assert world.levels.due is None
         assert "ProxyNotReady" in world.notices.conditions["Degraded"][2]
         world.notices.condition("TasksProxied", "True", "Serving", "")
-        world.look(4, given=HANDED)
+        world.look(4, policy=HANDED)
         assert world.levels.due is not None
 
     def test_the_next_switchover_is_due_after_the_pause_between_switchovers(self, world: World) -> None:
         world.observer.well = SLOW
-        world.look(10, given=HANDED)
+        world.look(10, policy=HANDED)
         assert world.levels.due is not None
         world.levels.handed_over()
-        world.look(40, given=HANDED, active=OTHER)
+        world.look(40, policy=HANDED, active=OTHER)
         assert world.levels.due is None
         assert "less than 1m ago" in world.notices.conditions["Degraded"][2]
-        world.look(30, given=HANDED, active=OTHER)
+        world.look(30, policy=HANDED, active=OTHER)
         assert world.levels.due is not None
 
     @pytest.mark.parametrize(("ago", "is_due"), [(10.0, False), (100.0, True)])
     def test_a_new_monitor_keeps_the_pause_between_switchovers(self, world: World, ago: float, is_due: bool) -> None:
         world.observer.well = SLOW
         world.notices.record(handed_over(time.time() - ago))
-        world.look(20, given=HANDED)
+        world.look(20, policy=HANDED)
         assert (world.levels.due is not None) == is_due
 
     def test_an_obstacle_to_a_switchover_is_reported(self, world: World) -> None:
         world.observer.well = SLOW
-        world.look(10, given=HANDED)
+        world.look(10, policy=HANDED)
         world.levels.wait(
             "FirstStrategyUnavailable",
             "the first strategy can't be carried out (pool hot has no standby for this workload)",
         )
         assert world.levels.due is None
-        world.look(0.3, given=HANDED)
+        world.look(0.3, policy=HANDED)
         assert world.levels.due is not None, "it's tried again"
         assert "pool hot has no standby" in world.notices.conditions["Degraded"][2]
 
@@ -160,9 +160,9 @@ class Deciding:
         self.policy = policy(HAND_OVER, strategy, limits=LIMITS)
         self.monitor = GivenMonitor(folder)
         objects, observer = self.monitor.objects, self.monitor.observer
-        said = condition("Storm", True, "ManyFail", "4 of 6 workloads fail.")
+        storm_condition = condition("Storm", True, "ManyFail", "4 of 6 workloads fail.")
         objects.put_workload(pause=PAUSE if paused else None)
-        objects.put_policy(self.policy, conditions=[said] if storm else [])
+        objects.put_policy(self.policy, conditions=[storm_condition] if storm else [])
         objects.put_settings(pools=[{"name": "hot", "readiness": "Executing"}])
         objects.put_pods(*pods)
         objects.put_gate(GateState(epoch=3, active="w-1", active_uid="uid-1"))
@@ -175,7 +175,7 @@ class Deciding:
     def look(self, seconds: float) -> None:
         """Judge the level for so long."""
         self._world.levels = self.levels
-        self._world.look(seconds, given=self.policy)
+        self._world.look(seconds, policy=self.policy)
 
     @property
     def waits_for(self) -> str:

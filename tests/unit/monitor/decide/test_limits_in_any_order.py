@@ -39,9 +39,9 @@ def test_robots_whose_failures_are_held_are_finally_driven(
         report(self, progress)
 
     def storm(self: StormCondition, now: float) -> ActiveLimit | None:
-        if (said := on(self, now)) is not None:
-            held.append(said.words)
-        return said
+        if (notice := on(self, now)) is not None:
+            held.append(notice.words)
+        return notice
 
     monkeypatch.setattr(world, "policy", policy)
     # What other tests of this process have prepared has another policy, and the other way round.

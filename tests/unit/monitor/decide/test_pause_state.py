@@ -31,8 +31,8 @@ class World:
 
     def pause(self, pause: Pause | None, annotations: Mapping[str, str] | None = None) -> None:
         """Pause the workload, or end its pause."""
-        given = pause.to_wire() if pause is not None else None
-        self._objects.put_workload(annotations=annotations, pause=given)
+        spec = pause.to_wire() if pause is not None else None
+        self._objects.put_workload(annotations=annotations, pause=spec)
 
     @property
     def events(self) -> list[tuple[str, str]]:
@@ -102,10 +102,10 @@ def test_the_end_of_a_pause_is_reported_with_owner_and_reason_of_the_resume(
 
 
 def test_an_earlier_resume_does_not_explain_the_end_of_a_pause() -> None:
-    world, said = World(), {names.RESUMED: "1", names.RESUMED_FOR: "bob: it grips"}
-    world.pause(GIVEN, said)
+    world, annotations = World(), {names.RESUMED: "1", names.RESUMED_FOR: "bob: it grips"}
+    world.pause(GIVEN, annotations)
     world.pauses.update(1000.0)
-    world.pause(None, said)
+    world.pause(None, annotations)
     world.pauses.update(1001.0)
     assert world.events[-1][1].endswith("spec.pause was removed")
 

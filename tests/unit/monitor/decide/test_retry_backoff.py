@@ -177,6 +177,6 @@ def test_a_recovery_reports_its_failed_attempts() -> None:
             Attempt(strategy="Restart", pod="w-3", result="Verified"),
         ],
     )
-    told = f"Fallback/Initialized with w-2 did not succeed: {hung}"
-    assert unverified(recovery) == [told]
-    assert describe(recovery).endswith(f"with strategy Restart in 16.000 s (gate epoch 0). Before that: {told}")
+    message = f"Fallback/Initialized with w-2 did not succeed: {hung}"
+    assert unverified(recovery) == [message]
+    assert describe(recovery).endswith(f"with strategy Restart in 16.000 s (gate epoch 0). Before that: {message}")

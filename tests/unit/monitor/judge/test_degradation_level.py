@@ -40,8 +40,8 @@ def test_a_workload_is_degraded_after_the_debounce_and_well_after_the_clear_time
     assert world.look(1)
     assert world.said == ("True", "NotWell")
     assert sum(isinstance(notice, BecameDegraded) for notice in world.notices.log) == 1
-    said = world.notices.conditions["Degraded"][2]
-    assert_golden("monitor", said, "/scan", "8.6 Hz", "9 Hz", "2 s", "spec.degraded")
+    message = world.notices.conditions["Degraded"][2]
+    assert_golden("monitor", message, "/scan", "8.6 Hz", "9 Hz", "2 s", "spec.degraded")
     world.observer.well = HEALTHY
     assert world.look(4.5)
     assert not world.look(1)
@@ -54,7 +54,7 @@ def test_a_workload_is_degraded_after_the_debounce_and_well_after_the_clear_time
 
 def test_without_spec_degraded_nothing_is_evaluated(world: World) -> None:
     world.observer.well = SLOW
-    assert not world.look(10, given=policy())
+    assert not world.look(10, policy=policy())
     assert world.observer.times_asked == 0
     assert world.notices.conditions == {}
 
@@ -123,7 +123,7 @@ def test_the_level_of_another_instance_does_not_count(world: World) -> None:
 def test_the_condition_is_removed_with_spec_degraded(world: World) -> None:
     world.observer.well = SLOW
     world.look(3)
-    assert not world.look(1, given=policy())
+    assert not world.look(1, policy=policy())
     assert "Degraded" not in world.notices.conditions
 
 

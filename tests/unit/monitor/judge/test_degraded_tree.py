@@ -51,8 +51,8 @@ def wellness(reschedule: dict[str, Any] | None, *actions: str) -> DegradedTrees:
 
 def busy(found: DegradedTrees, observed: RecordedObservations) -> str:
     now = time.time()
-    said = found.busy(observed, now=now, since=now - 100)
-    return said.words if said is not None else ""
+    observed_health = found.busy(observed, now=now, since=now - 100)
+    return observed_health.words if observed_health is not None else ""
 
 
 def test_the_status_of_tasks_is_watched_only_if_idleness_matters() -> None:
@@ -119,7 +119,7 @@ def test_real_topics_show_degradation_and_an_active_goal(
     from understudy.monitor.observe.robot.health_observer import HealthObserver
     from understudy.ros.runtime.graph_node import Graph
 
-    given = FailurePolicySpec.model_validate(
+    policy_spec = FailurePolicySpec.model_validate(
         {
             "monitoring": {"yaml": {"topic": {"name": "/beat", "type": "std_msgs/msg/String", "gap": "1m"}}},
             "strategies": [{"type": "Restart"}],
@@ -131,10 +131,10 @@ def test_real_topics_show_degradation_and_an_active_goal(
     )
     observer, robot = HealthObserver(), Graph("robot")
     try:
-        observer.follow(given, workload("/go"))
+        observer.follow(policy_spec, workload("/go"))
         beat = robot.node.create_publisher(String, "/beat", 10)
         status = robot.node.create_publisher(GoalStatusArray, STATUS, qos_profile_action_status_default)
-        begun = time.time()
+        started_at = time.time()
 
         def until(holds: Any, what: str, *, beating: bool) -> None:
             end = time.monotonic() + 30
@@ -149,10 +149,12 @@ def test_real_topics_show_degradation_and_an_active_goal(
 
         def states() -> tuple[str, str]:
             now = time.time()
-            return observer.verdict(now=now, since=begun).state, observer.degraded_verdict(now=now, since=begun).state
+            return observer.verdict(now=now, since=started_at).state, observer.degraded_verdict(
+                now=now, since=started_at
+            ).state
 
         def is_busy() -> bool:
-            return observer.busy(now=time.time(), since=begun) is not None
+            return observer.busy(now=time.time(), since=started_at) is not None
 
         until(lambda: states() == ("Healthy", "Healthy"), "it to be well", beating=True)
         until(lambda: states() == ("Healthy", "Failed"), "it to be short of that", beating=False)

@@ -88,23 +88,23 @@ def test_enforcement_is_judged_again_after_the_gate_admits_another_pod(
 ) -> None:
     objects, clock = ClusterObjects(), Clock(NOW)
     objects.put_gate(GateState(epoch=3, active="w-1", active_uid="uid-w-1"))
-    last, told = objects.packets, objects.notices
+    last, notices = objects.packets, objects.notices
     last.update({"uid-w-1": NOW, "uid-w-2": NOW})
     monkeypatch.setattr(gate_enforcement, "time", clock)
-    enforced = GateEnforcement(objects.gate, objects.proof, told, Readers())
+    enforced = GateEnforcement(objects.gate, objects.proof, notices, Readers())
     enforced.update(NOW)
     enforced.report(found := enforced.judge([ACTIVE, STANDBY]))
-    assert (found[1], told.conditions) == ("Settling", {})
+    assert (found[1], notices.conditions) == ("Settling", {})
     clock.now = last["uid-w-1"] = last["uid-w-2"] = NOW + SETTLE + 1
     enforced.update(clock.now)
     enforced.report(enforced.judge([ACTIVE, STANDBY]))
-    assert told.conditions["GateEnforced"][:2] == ("False", "NotEnforced")
-    assert [reason for _, reason, _ in told.events] == ["GateNotEnforced"]
+    assert notices.conditions["GateEnforced"][:2] == ("False", "NotEnforced")
+    assert [reason for _, reason, _ in notices.events] == ["GateNotEnforced"]
     objects.put_gate(GateState(epoch=4, active="w-2", active_uid="uid-w-2"))
     enforced.update(clock.now)
     enforced.report(found := enforced.judge([ACTIVE, STANDBY]))
     assert found[1] == "Settling"
-    assert told.conditions["GateEnforced"][1] == "NotEnforced", "what was seen before stands"
+    assert notices.conditions["GateEnforced"][1] == "NotEnforced", "what was seen before stands"
 
 
 def test_a_reader_that_the_gate_does_not_reach_means_that_it_is_not_enforced(
@@ -112,10 +112,10 @@ def test_a_reader_that_the_gate_does_not_reach_means_that_it_is_not_enforced(
 ) -> None:
     objects, clock, readers = ClusterObjects(), Clock(NOW), Readers()
     objects.put_gate(GateState(epoch=3, active="w-1", active_uid="uid-w-1"))
-    last, told = objects.packets, objects.notices
+    last, notices = objects.packets, objects.notices
     last["uid-w-1"] = NOW + SETTLE
     monkeypatch.setattr(gate_enforcement, "time", clock)
-    enforced = GateEnforcement(objects.gate, objects.proof, told, readers)
+    enforced = GateEnforcement(objects.gate, objects.proof, notices, readers)
     enforced.update(NOW)
     clock.now = NOW + SETTLE + 1
     assert enforced.judge([ACTIVE, STANDBY])[:2] == ("True", "SeenFromPackets")
@@ -123,7 +123,7 @@ def test_a_reader_that_the_gate_does_not_reach_means_that_it_is_not_enforced(
     assert enforced.judge([ACTIVE, STANDBY]) == ("False", "ReaderWithoutProfile", readers.ungated)
     assert enforced.judge([ACTIVE])[:2] == ("False", "ReaderWithoutProfile"), "where there is no standby too"
     enforced.report(enforced.judge([ACTIVE, STANDBY]))
-    assert [reason for _, reason, _ in told.events] == ["GateReaderWithoutProfile"]
+    assert [reason for _, reason, _ in notices.events] == ["GateReaderWithoutProfile"]
     last["uid-w-2"] = clock.now
     assert enforced.judge([ACTIVE, STANDBY])[1] == "NotEnforced", "a network that enforces nothing comes first"
 

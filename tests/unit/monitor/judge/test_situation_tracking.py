@@ -84,9 +84,9 @@ class TestWhatIsSeen:
 
     def test_a_situation_with_a_tree_applies_while_the_tree_holds(self, found: ContextDetection) -> None:
         assert self.seen(found, RecordedObservations({}))["loaded"].so is False, "without a grace"
-        heard = TopicRecord()
-        heard.add(time.time())
-        beat = RecordedObservations({"/loaded": heard})
+        received = TopicRecord()
+        received.add(time.time())
+        beat = RecordedObservations({"/loaded": received})
         assert self.seen(found, beat)["loaded"] == SituationState(True, "its tree holds")
 
     def test_a_situation_with_unwatched_topics_is_unknown(self, found: ContextDetection) -> None:
@@ -184,8 +184,8 @@ def test_a_situation_stays_while_the_instance_fails(world: World) -> None:
 
 
 def test_a_new_monitor_keeps_the_situation_until_it_knows_the_goals(monkeypatch: pytest.MonkeyPatch) -> None:
-    said = SituationStatus(name="carrying", since="2026-01-01T00:00:00Z", reason="it was")
-    world = made(monkeypatch, PublishedStatus(situation=said))
+    status = SituationStatus(name="carrying", since="2026-01-01T00:00:00Z", reason="it was")
+    world = made(monkeypatch, PublishedStatus(situation=status))
     world.so = {"carrying": False}
     assert world.pass_(HEARING - 1) == "carrying"
     world.so = {"carrying": True}

@@ -62,109 +62,111 @@ def given() -> Given:
 
 
 @pytest.fixture
-def view(given: Given) -> ClusterView:
-    return given.view
+def view(objects: Given) -> ClusterView:
+    return objects.view
 
 
 @pytest.mark.parametrize("broken", [{"bringUp": BROKEN}, {"outputs": "none"}])
-def test_an_invalid_spec_leaves_the_last_one_in_force(given: Given, view: ClusterView, broken: dict[str, Any]) -> None:
-    given.workload(bringUp=GOOD)
+def test_an_invalid_spec_leaves_the_last_one_in_force(
+    objects: Given, view: ClusterView, broken: dict[str, Any]
+) -> None:
+    objects.workload(bringUp=GOOD)
     before = view.spec
     assert before is not None
-    given.workload(**broken)
+    objects.workload(**broken)
     assert view.spec == before
-    given.workload()
+    objects.workload()
     assert view.spec is not None
     assert view.spec.bring_up is None, "corrected"
-    given.taken_away(view.workloads)
+    objects.taken_away(view.workloads)
     assert view.spec is None
 
 
-def test_a_pause_applies_even_if_the_rest_of_the_spec_is_invalid(given: Given, view: ClusterView) -> None:
-    given.workload(bringUp=GOOD)
+def test_a_pause_applies_even_if_the_rest_of_the_spec_is_invalid(objects: Given, view: ClusterView) -> None:
+    objects.workload(bringUp=GOOD)
     assert view.spec is not None
-    given.workload(bringUp=BROKEN, pause={"reason": "a new gripper", "owner": "ann"})
+    objects.workload(bringUp=BROKEN, pause={"reason": "a new gripper", "owner": "ann"})
     assert view.spec.pause is not None
     assert view.spec.bring_up is not None
     assert view.spec.bring_up.yaml == GOOD["yaml"]
 
 
-def test_deleted_settings_stay_in_force(given: Given, view: ClusterView) -> None:
+def test_deleted_settings_stay_in_force(objects: Given, view: ClusterView) -> None:
     assert view.settings is None
-    given.settings("hot")
+    objects.settings("hot")
     settings = view.settings
     assert settings is not None
-    given.taken_away(view.settings_maps)
+    objects.taken_away(view.settings_maps)
     assert view.settings == settings, "without them nothing can be recovered"
 
 
-def test_an_invalid_recovery_procedure_leaves_the_last_policy_in_force(given: Given, view: ClusterView) -> None:
-    given.workload()
-    given.policy(recovery=GOOD)
+def test_an_invalid_recovery_procedure_leaves_the_last_policy_in_force(objects: Given, view: ClusterView) -> None:
+    objects.workload()
+    objects.policy(recovery=GOOD)
     before = view.policy
-    given.policy(recovery=BROKEN)
+    objects.policy(recovery=BROKEN)
     assert view.policy == before
-    given.policy()
+    objects.policy()
     assert view.policy is not None
     assert view.policy.strategies[0].recovery is None, "corrected"
 
 
 def test_a_new_monitor_uses_the_health_tree_of_a_policy_with_an_invalid_recovery_procedure(
-    given: Given, view: ClusterView
+    objects: Given, view: ClusterView
 ) -> None:
-    given.workload()
-    given.policy(recovery=BROKEN)
+    objects.workload()
+    objects.policy(recovery=BROKEN)
     assert view.policy is not None
 
 
-def test_a_tree_in_a_config_map_is_used_as_the_operator_read_it(given: Given, view: ClusterView) -> None:
-    given.workload()
-    given.policy()
+def test_a_tree_in_a_config_map_is_used_as_the_operator_read_it(objects: Given, view: ClusterView) -> None:
+    objects.workload()
+    objects.policy()
     before = view.policy
     in_config_map = {"monitoring": {"configMapKeyRef": {"name": "trees", "key": "health.yaml"}}}
-    given.policy(in_config_map)
+    objects.policy(in_config_map)
     assert view.policy == before, "nothing was read yet"
     tree = {"topic": {"name": "/scan", "gap": "1s"}}
-    given.policy(in_config_map, tree={"name": "trees", "key": "health.yaml", "yaml": tree})
+    objects.policy(in_config_map, tree={"name": "trees", "key": "health.yaml", "yaml": tree})
     assert view.policy is not None
     assert view.policy.monitoring.tree == tree
 
 
-def test_a_bring_up_in_another_language_is_loaded(given: Given, view: ClusterView) -> None:
+def test_a_bring_up_in_another_language_is_loaded(objects: Given, view: ClusterView) -> None:
     text = 'import osc.understudy\nscenario up:\n    do set_lifecycle("/nav", lifecycle_state!active)\n'
-    given.workload(bringUp={"osc": text})
+    objects.workload(bringUp={"osc": text})
     before = view.spec
     assert before is not None
-    given.workload(bringUp={"osc": text.replace("set_", "get_")})
+    objects.workload(bringUp={"osc": text.replace("set_", "get_")})
     assert view.spec == before
 
 
 AUTO = {"strategies": [{"type": "Auto"}], "requirements": {"availability": "High"}}
 
 
-def test_automatic_strategies_are_those_that_the_operator_chose(given: Given, view: ClusterView) -> None:
-    given.workload()
-    given.policy(AUTO)
+def test_automatic_strategies_are_those_that_the_operator_chose(objects: Given, view: ClusterView) -> None:
+    objects.workload()
+    objects.policy(AUTO)
     assert view.policy is None, "nothing was chosen yet, and nothing was in force before"
-    given.settings("hot", "spare")
-    assert given.pools == ["hot", "spare"]
+    objects.settings("hot", "spare")
+    assert objects.pools == ["hot", "spare"]
     assert view.policy is not None
     assert [one.type for one in view.policy.strategies] == ["Fallback", "Fallback", "Restart"]
     before = view.policy
-    given.settings("hot", "spare")
+    objects.settings("hot", "spare")
     assert view.policy is before, "told again"
-    given.settings("spare")
-    assert given.pools == ["spare"]
+    objects.settings("spare")
+    assert objects.pools == ["spare"]
 
 
-def test_the_last_strategies_stay_in_force_until_others_are_chosen(given: Given, view: ClusterView) -> None:
-    given.workload()
-    given.policy(verifyWithin="9s")
+def test_the_last_strategies_stay_in_force_until_others_are_chosen(objects: Given, view: ClusterView) -> None:
+    objects.workload()
+    objects.policy(verifyWithin="9s")
     before = view.policy
     assert before is not None
-    given.policy(AUTO)
+    objects.policy(AUTO)
     assert view.policy == before
-    given.settings("hot")
-    assert given.pools == ["hot"]
-    given.policy()
-    assert given.pools == [], "and written out again"
+    objects.settings("hot")
+    assert objects.pools == ["hot"]
+    objects.policy()
+    assert objects.pools == [], "and written out again"

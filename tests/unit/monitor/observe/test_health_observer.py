@@ -211,10 +211,10 @@ GRACE = 30.0
 def test_a_change_of_the_degraded_tree_does_not_restart_the_health_tree(observer: HealthObserver, clock: Clock) -> None:
     gap = {"topic": {"name": "/beat", "type": "std_msgs/msg/String", "gap": "1s"}}
     observer.follow(_degraded(gap, None), None)
-    begun, clock.now = clock.now, clock.now + 20
+    started_at, clock.now = clock.now, clock.now + 20
     observer.follow(_degraded(gap, {"topic": {"name": "/beat", "rate": "> 9 Hz"}}), None)
-    assert observer.verdict(now=begun + GRACE - 1, since=begun).state == "Starting"
-    assert observer.verdict(now=begun + GRACE + 1, since=begun).state == "Failed"
+    assert observer.verdict(now=started_at + GRACE - 1, since=started_at).state == "Starting"
+    assert observer.verdict(now=started_at + GRACE + 1, since=started_at).state == "Failed"
 
 
 def test_a_missing_type_of_the_degraded_tree_does_not_affect_the_health_tree(
@@ -234,11 +234,11 @@ def test_an_invalid_degraded_tree_is_reported_and_the_last_one_stays(observer: H
     gap = {"topic": {"name": "/beat", "type": "std_msgs/msg/String", "gap": "1s"}}
     good = {"topic": {"name": "/beat", "rate": "> 9 Hz"}}
     observer.follow(_degraded(gap, good), None)
-    begun, clock.now = clock.now, clock.now + 20
+    started_at, clock.now = clock.now, clock.now + 20
     observer.follow(_degraded(gap, {"topic": {"name": "/beat", "rate": "> 9 Herz"}}), None)
     (problem,) = observer.problems
     assert "spec.degraded.monitoring.yaml.topic.rate" in problem
-    assert observer.degraded_verdict(now=begun + GRACE + 1, since=begun).state == "Failed"
+    assert observer.degraded_verdict(now=started_at + GRACE + 1, since=started_at).state == "Failed"
     observer.follow(_degraded(gap, good), None)
     assert observer.problems == []
 
@@ -252,14 +252,14 @@ def test_topics_of_situations_do_not_affect_the_health_tree(observer: HealthObse
     spec = {"monitoring": {"yaml": gap}, "strategies": strategies, "situations": [carrying, loaded]}
     observer.follow(_policy(gap), None)
     assert received(observer, "/beat", "/load") == {"/beat"}
-    begun, clock.now = clock.now, clock.now + 20
+    started_at, clock.now = clock.now, clock.now + 20
     observer.follow(FailurePolicySpec.model_validate(spec), None)
-    assert observer.verdict(now=begun + GRACE + 1, since=begun).state == "Failed", "it did not begin again"
+    assert observer.verdict(now=started_at + GRACE + 1, since=started_at).state == "Failed", "it did not begin again"
     clock.now = time.time()
     observer.drain([], "")
     now = time.time()
-    seen = observer.situations([], now=now, since=now)
-    assert (seen["carrying"].so, seen["loaded"].so) == (False, None)
+    situations = observer.situations([], now=now, since=now)
+    assert (situations["carrying"].so, situations["loaded"].so) == (False, None)
     assert any("nobodys_msgs/msg/Load is not installed" in problem for problem in observer.problems)
     begin_task(observer)
     assert observer.situations([], now=now, since=now)["carrying"].so

@@ -57,11 +57,11 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
     made.close()
 
 
-def looking(graph: Graph, told: RecordedNotices, outputs: list[Output]) -> RobotReaders:
-    objects, observer = ClusterObjects(workload="robot-17", notices=told), GivenObserver()
+def looking(graph: Graph, notices: RecordedNotices, outputs: list[Output]) -> RobotReaders:
+    objects, observer = ClusterObjects(workload="robot-17", notices=notices), GivenObserver()
     objects.put_workload(outputs=[output.to_wire() for output in outputs])
     observer.graph = graph
-    return RobotReaders(objects.view, observer, told, "127.0.0.1")
+    return RobotReaders(objects.view, observer, notices, "127.0.0.1")
 
 
 def looks(one: RobotReaders, times: int) -> None:
@@ -73,15 +73,15 @@ def looks(one: RobotReaders, times: int) -> None:
 
 
 def test_discovery_is_asked_once_for_a_reader_and_a_missing_answer_is_reported(server: Server) -> None:
-    told = RecordedNotices()
-    one = looking(server, told, [CMD_VEL])
+    notices = RecordedNotices()
+    one = looking(server, notices, [CMD_VEL])
     looks(one, 2)
     assert not server.asked(), "where nobody reads there is nothing to ask"
-    assert told.conditions["OutputsRead"][:2] == ("Unknown", "NobodyReads")
+    assert notices.conditions["OutputsRead"][:2] == ("Unknown", "NobodyReads")
     server.readers["/cmd_vel"] = [READER]
     looks(one, 2)
     assert server.asked()
-    assert told.conditions["OutputsRead"][:2] == ("Unknown", "ReadersUnknown")
+    assert notices.conditions["OutputsRead"][:2] == ("Unknown", "ReadersUnknown")
     looks(one, 3)
     assert not server.asked()
     server.readers["/cmd_vel"] = [READER, Endpoint(READER.type, bytes(14) + b"\x01\x04", "/other")]
@@ -91,33 +91,33 @@ def test_discovery_is_asked_once_for_a_reader_and_a_missing_answer_is_reported(s
 
 def test_a_finding_is_reported_only_after_it_has_lasted(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(robot_readers, "SETTLE", 60.0)
-    told = RecordedNotices()
-    looks(looking(server, told, [CMD_VEL]), 3)
-    assert told.conditions == {}
+    notices = RecordedNotices()
+    looks(looking(server, notices, [CMD_VEL]), 3)
+    assert notices.conditions == {}
 
 
 def test_the_finding_of_an_earlier_monitor_is_kept_until_there_is_a_new_one(server: Server) -> None:
-    said = condition("OutputsRead", False, "ReaderWithoutProfile", "The gate doesn't reach it.")
-    told = RecordedNotices(PublishedStatus(by_type={said.type: said}))
-    one = looking(server, told, [CMD_VEL])
+    earlier = condition("OutputsRead", False, "ReaderWithoutProfile", "The gate doesn't reach it.")
+    notices = RecordedNotices(PublishedStatus(by_type={earlier.type: earlier}))
+    one = looking(server, notices, [CMD_VEL])
     assert one.ungated == "The gate doesn't reach it."
     looks(one, 2)
     assert one.ungated == ""
 
 
 def test_a_workload_without_topics_has_no_condition_about_readers(server: Server) -> None:
-    told = RecordedNotices()
-    told.condition("OutputsRead", "Unknown", "NobodyReads")
-    looks(looking(server, told, [Output(service="/snap", type="std_srvs/srv/Trigger")]), 2)
-    assert told.conditions == {}
+    notices = RecordedNotices()
+    notices.condition("OutputsRead", "Unknown", "NobodyReads")
+    looks(looking(server, notices, [Output(service="/snap", type="std_srvs/srv/Trigger")]), 2)
+    assert notices.conditions == {}
 
 
 def test_an_unavailable_discovery_server_makes_readers_unknown(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DISCOVERY_SERVER", "not a port:eleven")
-    told = RecordedNotices()
+    notices = RecordedNotices()
     server.readers["/cmd_vel"] = [READER]
-    looks(looking(server, told, [CMD_VEL]), 2)
-    assert told.conditions["OutputsRead"][:2] == ("Unknown", "ReadersUnknown")
+    looks(looking(server, notices, [CMD_VEL]), 2)
+    assert notices.conditions["OutputsRead"][:2] == ("Unknown", "ReadersUnknown")
 
 
 def test_an_error_does_not_end_the_observation(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -131,8 +131,8 @@ def test_an_error_does_not_end_the_observation(server: Server, monkeypatch: pyte
             self.looked += 1
             raise RuntimeError("the graph is being closed")
 
-    told, graph = RecordedNotices(), Broken()
-    one = looking(graph, told, [CMD_VEL])
+    notices, graph = RecordedNotices(), Broken()
+    one = looking(graph, notices, [CMD_VEL])
 
     async def run() -> None:
         with contextlib.suppress(TimeoutError):
@@ -140,4 +140,4 @@ def test_an_error_does_not_end_the_observation(server: Server, monkeypatch: pyte
 
     asyncio.run(run())
     assert graph.looked > 1
-    assert told.conditions["OutputsRead"][:2] == ("Unknown", "ReadersUnknown")
+    assert notices.conditions["OutputsRead"][:2] == ("Unknown", "ReadersUnknown")

@@ -33,9 +33,9 @@ class Told:
 
 @pytest.fixture
 def arrivals() -> Iterator[Told]:
-    told = Told()
-    yield told
-    os.close(told.descriptor)
+    scripted = Told()
+    yield scripted
+    os.close(scripted.descriptor)
 
 
 async def ends(waiting: asyncio.Task[None]) -> None:
@@ -60,12 +60,12 @@ async def test_a_message_ends_the_wait_before_the_deadline(arrivals) -> None:
 
 async def test_frequent_messages_leave_a_minimum_time_between_evaluations(arrivals) -> None:
     schedule = EvaluationSchedule(Wakeups(), arrivals)
-    begun = [schedule.begin()]
+    starts = [schedule.begin()]
     for _ in range(10):
         arrivals.come()
-        await asyncio.wait_for(schedule.until(begun[-1] + FAR), 20)
-        begun.append(schedule.begin())
-    assert min(later - earlier for earlier, later in pairwise(begun)) >= APART - 0.001
+        await asyncio.wait_for(schedule.until(starts[-1] + FAR), 20)
+        starts.append(schedule.begin())
+    assert min(later - earlier for earlier, later in pairwise(starts)) >= APART - 0.001
 
 
 async def test_a_message_that_was_already_evaluated_causes_no_evaluation(arrivals) -> None:
@@ -79,9 +79,9 @@ async def test_a_message_that_was_already_evaluated_causes_no_evaluation(arrival
 
 async def test_a_wait_that_ended_by_its_deadline_leaves_no_wakeup_behind(arrivals) -> None:
     schedule = EvaluationSchedule(Wakeups(), arrivals)
-    begun = schedule.begin()
+    started_at = schedule.begin()
     arrivals.come()
-    await schedule.until(begun)  # the moment comes before the pause after the last look is over
+    await schedule.until(started_at)  # the moment comes before the pause after the last look is over
     waiting = asyncio.create_task(schedule.until(schedule.begin() + FAR))
     await asyncio.sleep(5 * APART)
     assert not waiting.done()

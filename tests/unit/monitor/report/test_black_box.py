@@ -52,8 +52,13 @@ async def test_messages_before_and_after_a_failure_are_recorded(monitored: Monit
     before = monitored.received
     await monitored.driven(5)
     await monitored.recorded()
-    (told,) = monitored.archive.recordings
-    assert (told.number, told.reason, told.result, told.strategy) == (1, "no /cmd_vel", "Recovered", "Restart")
+    (recording,) = monitored.archive.recordings
+    assert (recording.number, recording.reason, recording.result, recording.strategy) == (
+        1,
+        "no /cmd_vel",
+        "Recovered",
+        "Restart",
+    )
     found = monitored.messages("/cmd_vel")
     assert len(found) >= before + 5
     place = monitored.sent.index(found[0])
@@ -150,8 +155,8 @@ async def test_an_omitted_topic_is_named(monitored: Monitored) -> None:
     await monitored.driven(20)
     monitored.recovered(monitored.fail())
     await monitored.recorded()
-    (told,) = monitored.archive.recordings
-    assert "/cmd_vel" in told.left_out
+    (recording,) = monitored.archive.recordings
+    assert "/cmd_vel" in recording.left_out
 
 
 async def test_the_black_box_does_not_delay_a_failover(monitored: Monitored) -> None:
@@ -173,8 +178,8 @@ async def test_recordings_can_be_downloaded(monitored: Monitored, get: Callable[
     await monitored.look(0.1)
     server = await serve(monitored.box.pages, 0, host="127.0.0.1")
     url = f"http://127.0.0.1:{server.sockets[0].getsockname()[1]}"
-    told = Recordings.model_validate_json(await get(f"{url}/"))
-    assert (told.workload, told.on, told.recordings) == ("robot-1", True, [recording])
+    recordings = Recordings.model_validate_json(await get(f"{url}/"))
+    assert (recordings.workload, recordings.on, recordings.recordings) == ("robot-1", True, [recording])
     assert await get(f"{url}/{recording.id}.mcap") == monitored.archive.path(recording).read_bytes()
     server.close()
 

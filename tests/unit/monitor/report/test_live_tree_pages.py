@@ -44,14 +44,14 @@ def showing(now: float, **more: Any) -> LiveTreePages:
     objects.put_workload(failurePolicyRef={"name": "navigation"})
     observer.tree = snapshot(world.tree, world.observed(), START + now)
     observer.troubles = [EVIL]
-    said = condition("GateEnforced", True, "Enforced", "Two probes of it were seen.")
+    enforced = condition("GateEnforced", True, "Enforced", "Two probes of it were seen.")
     published = PublishedStatus(
         health="Failed",
         active="robot-1-drive-abc",
         gate=GateStatus(epoch=3),
         strategy="Executing",
         count=2,
-        by_type={said.type: said},
+        by_type={enforced.type: enforced},
     )
     return LiveTreePages(objects.view, observer, Notices(replace(published, **more)))
 
@@ -109,7 +109,7 @@ async def test_a_browser_draws_the_tree_with_its_states_and_reasons(tmp_path: Pa
     assert "<title>robot-1-drive: Failed</title>" in document
     text = re.sub(r"<[^>]+>", " ", document.partition("<main>")[2].partition("<script>")[0])
     words = " ".join(text.split())
-    for told in (
+    for expected in (
         "fleet/robot-1-drive Failed",
         "In control robot-1-drive-abc Epoch 3 Policy navigation If it failed now Executing Recoveries 2",
         "scan topic 20 Hz, 600 ms ago",
@@ -117,7 +117,7 @@ async def test_a_browser_draws_the_tree_with_its_states_and_reasons(tmp_path: Pa
         "percentage &gt; 0.2",
         "GateEnforced True Enforced: Two probes of it were seen.",
     ):
-        assert told in words, words
+        assert expected in words, words
     assert re.findall(r'data-state="(\w+)"', document) == ["Failed", "Healthy", "Idle", "Idle", "Failed"]
     assert "<img" not in document.partition("<main>")[2], "texts of others are texts"
     assert document.count("<svg") == 3

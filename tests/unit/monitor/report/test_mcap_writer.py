@@ -72,8 +72,8 @@ def ring() -> SampleRing:
             number,
             mcap_writer.serialized(message_class("sensor_msgs/msg/LaserScan")(ranges=[1.0, float(number)])),
         )
-    told = {"time": FAILED, "health": "Failed", "active": "a", "epoch": 4, "tree": TREE}
-    made.track(mcap_writer.TREE, mcap_writer.TREE_TYPE).add(FAILED, FAILED, 0, mcap_writer.text(json.dumps(told)))
+    record = {"time": FAILED, "health": "Failed", "active": "a", "epoch": 4, "tree": TREE}
+    made.track(mcap_writer.TREE, mcap_writer.TREE_TYPE).add(FAILED, FAILED, 0, mcap_writer.text(json.dumps(record)))
     return made
 
 
@@ -125,9 +125,9 @@ def test_each_topic_has_the_qos_that_its_publishers_offered(file: Path) -> None:
     with file.open("rb") as opened:
         summary = make_reader(opened).get_summary()
     assert summary is not None
-    told = {one.topic: yaml.safe_load(one.metadata["offered_qos_profiles"]) for one in summary.channels.values()}
-    assert [one["depth"] for one in told.pop("/cmd_vel")] == [7]
-    assert told == {"/scan": [], mcap_writer.TREE: [], mcap_writer.EVENTS: []}, "players offer what is usual"
+    profiles = {one.topic: yaml.safe_load(one.metadata["offered_qos_profiles"]) for one in summary.channels.values()}
+    assert [one["depth"] for one in profiles.pop("/cmd_vel")] == [7]
+    assert profiles == {"/scan": [], mcap_writer.TREE: [], mcap_writer.EVENTS: []}, "players offer what is usual"
 
 
 def logged(file: Path) -> list[tuple[float, int, str, str]]:
@@ -140,14 +140,14 @@ def logged(file: Path) -> list[tuple[float, int, str, str]]:
 
 
 def test_events_and_moments_are_recorded_in_order(file: Path) -> None:
-    told = logged(file)
-    assert [(level, name, text) for _, level, name, text in told] == [
+    records = logged(file)
+    assert [(level, name, text) for _, level, name, text in records] == [
         (30, "RobotWorkload/robot-1-drive", "FailureDetected: so"),
         (30, "recovery", f"detected: {REASON}"),
         (20, "recovery", "routed"),
         (20, "RobotWorkload/robot-1-drive", "Recovered: so"),
     ]
-    assert [at for at, *_ in told] == pytest.approx([-0.25, 0.0, 0.01, 0.75], abs=1e-5)
+    assert [at for at, *_ in records] == pytest.approx([-0.25, 0.0, 0.01, 0.75], abs=1e-5)
 
 
 def test_the_tree_is_recorded_according_to_its_schema(file: Path) -> None:

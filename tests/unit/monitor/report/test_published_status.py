@@ -84,10 +84,10 @@ async def test_repeated_failed_switchovers_are_one_record() -> None:
 
 async def test_a_handled_switchover_is_known_to_the_next_monitor() -> None:
     before = Notices()
-    said = SwitchoverStatus(kind="Failover", request="r", handled="r", phase="Done", since="2026-11-22T14:02:11Z")
-    before.set_switchover(said)
+    switchover = SwitchoverStatus(kind="Failover", request="r", handled="r", phase="Done", since="2026-11-22T14:02:11Z")
+    before.set_switchover(switchover)
     after = PublishedStatus.adopt({"status": before.status.to_wire()})
-    assert after.switchover == said
+    assert after.switchover == switchover
 
 
 async def test_a_new_monitor_knows_the_last_planned_recovery_and_the_conditions_of_the_instance() -> None:
@@ -98,9 +98,9 @@ async def test_a_new_monitor_knows_the_last_planned_recovery_and_the_conditions_
     after = PublishedStatus.adopt({"status": before.status.to_wire()})
     assert after.planned == 2000.5
     assert after.adopted == "w-1"
-    said = after.find("Degraded")
-    assert said is not None
-    assert (said.status, said.message) == ("True", "/scan at 8.6 Hz.")
+    degraded = after.find("Degraded")
+    assert degraded is not None
+    assert (degraded.status, degraded.message) == ("True", "/scan at 8.6 Hz.")
     assert after.find("Recovering") is None
 
 
@@ -262,8 +262,8 @@ async def test_an_older_definition_receives_known_fields_and_the_others_are_logg
 
     def strict(method: str, path: str, params: Any, body: Any, content_type: str, by: str) -> Object:
         if "monitor" in body["status"]:
-            told = "failed to create typed patch object (fleet/w): .status.monitor: field not declared in schema"
-            raise ApiError(500, "InternalError", told)
+            warning = "failed to create typed patch object (fleet/w): .status.monitor: field not declared in schema"
+            raise ApiError(500, "InternalError", warning)
         return request(method, path, params, body, content_type, by)
 
     api.server.request = strict  # type: ignore[method-assign]
@@ -273,8 +273,8 @@ async def test_an_older_definition_receives_known_fields_and_the_others_are_logg
         assert api.item["status"]["active"] == active
         await looked(living, api.item)
     assert api.writes == 4
-    (told,) = (record.message for record in caplog.records if record.levelname == "WARNING")
-    assert "lacks .status.monitor: upgrade it" in told
+    (warning,) = (record.message for record in caplog.records if record.levelname == "WARNING")
+    assert "lacks .status.monitor: upgrade it" in warning
 
 
 async def test_a_status_that_is_refused_for_another_reason_is_an_error() -> None:

@@ -31,7 +31,7 @@ def monitor(tmp_path: Path) -> GivenMonitor:
 
 
 @pytest.mark.parametrize(
-    ("seen", "condition", "events"),
+    ("received", "condition", "events"),
     [
         ({}, ("True", "Watching", "Watching /scan."), []),
         ({"waiting": "/plan"}, ("Unknown", "WaitingForTopics", "/plan"), []),
@@ -44,18 +44,18 @@ def monitor(tmp_path: Path) -> GivenMonitor:
     ],
 )
 def test_the_condition_monitored_reports_whether_everything_is_received(
-    monitor: GivenMonitor, seen: dict[str, Any], condition: tuple[str, str, str], events: list[str]
+    monitor: GivenMonitor, received: dict[str, Any], condition: tuple[str, str, str], events: list[str]
 ) -> None:
-    monitor.observer.troubles = list(seen.get("problems", ()))
-    monitor.observer.unpublished = [seen["waiting"]] if "waiting" in seen else []
-    monitor.loop.act.safety.problems = list(seen.get("unsafe", ()))
+    monitor.observer.troubles = list(received.get("problems", ()))
+    monitor.observer.unpublished = [received["waiting"]] if "waiting" in received else []
+    monitor.loop.act.safety.problems = list(received.get("unsafe", ()))
     monitor.loop.report.status_conditions.housekeeping()
     notices = monitor.notices
     assert notices.conditions["Monitored"] == condition
     assert notices.reasons == events
-    said = notices.status.find("Monitored")
-    assert said is not None
-    assert (said.observed_generation, notices.status.strategy) == (7, "Executing")
+    monitored = notices.status.find("Monitored")
+    assert monitored is not None
+    assert (monitored.observed_generation, notices.status.strategy) == (7, "Executing")
 
 
 @pytest.mark.parametrize(
