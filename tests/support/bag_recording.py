@@ -20,7 +20,7 @@ NS = 1_000_000_000
 Storage = Literal["mcap", "sqlite3"]
 
 
-class Said(NamedTuple):
+class RecordedMessage(NamedTuple):
     """A message, at a time in seconds from START."""
 
     at: float
@@ -29,9 +29,9 @@ class Said(NamedTuple):
     fields: Mapping[str, Any] = {}
 
 
-def every(topic: str, type_: str, begin: float, end: float, hertz: float, **fields: Any) -> list[Said]:
+def every(topic: str, type_: str, begin: float, end: float, hertz: float, **fields: Any) -> list[RecordedMessage]:
     """Return messages at a rate, from one time to another."""
-    return [Said(begin + n / hertz, topic, type_, fields) for n in range(round((end - begin) * hertz))]
+    return [RecordedMessage(begin + n / hertz, topic, type_, fields) for n in range(round((end - begin) * hertz))]
 
 
 def message(type_: str, fields: Mapping[str, Any]) -> Any:
@@ -68,7 +68,7 @@ def unix(at: float) -> float:
 
 
 def write(
-    path: Path, messages: Iterable[Said], storage: Storage = "mcap", also: Mapping[str, str] | None = None
+    path: Path, messages: Iterable[RecordedMessage], storage: Storage = "mcap", also: Mapping[str, str] | None = None
 ) -> Path:
     """Write a bag folder; ``also`` lists topics with their types without any messages."""
     plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3

@@ -10,78 +10,78 @@ from typing import Any
 
 SCRIPT = """#!/usr/bin/env python3
 import json, os, sys, time
-path, asked = {told!r}, {asked!r}
-given = sys.argv[1:]
+path, asked = {settings!r}, {asked!r}
+arguments = sys.argv[1:]
 with open(asked, "a") as log:
-    log.write(" ".join(given) + "\\n")
+    log.write(" ".join(arguments) + "\\n")
 plural = lambda item: (item["kind"].lower() + "s").replace("ys", "ies")
-rest = given[given.index("get") + 1 :] if "get" in given else [""]
+rest = arguments[arguments.index("get") + 1 :] if "get" in arguments else [""]
 kinds = {{kind.partition(".")[0] for kind in rest[0].split(",")}}
-told = json.load(open(path))
-forbidden = kinds & set(told["forbidden"])
-if "--watch-only" in given:
-    if forbidden or not told["watch"]:
+settings = json.load(open(path))
+forbidden = kinds & set(settings["forbidden"])
+if "--watch-only" in arguments:
+    if forbidden or not settings["watch"]:
         sys.exit("Error from server (Forbidden): you may not watch")
-    before, seen = told, os.stat(path).st_mtime_ns
+    before, changed_at = settings, os.stat(path).st_mtime_ns
     while True:
         time.sleep(0.05)
-        if os.stat(path).st_mtime_ns == seen:
+        if os.stat(path).st_mtime_ns == changed_at:
             continue
-        seen = os.stat(path).st_mtime_ns
+        changed_at = os.stat(path).st_mtime_ns
         try:
-            told = json.load(open(path))
+            settings = json.load(open(path))
         except ValueError:
             continue  # it is being written
-        of_it = lambda told: (told["error"], [item for item in told["items"] if plural(item) in kinds])
-        if of_it(told) != of_it(before):
+        of_it = lambda settings: (settings["error"], [item for item in settings["items"] if plural(item) in kinds])
+        if of_it(settings) != of_it(before):
             print("changed", flush=True)
-        before = told
-if told["error"]:
-    sys.exit(told["error"])
+        before = settings
+if settings["error"]:
+    sys.exit(settings["error"])
 if forbidden:
     sys.exit(f"Error from server (Forbidden): {{rest[0]}} is forbidden: you may not list it")
-if "patch" in given:
-    kind, name = given[given.index("patch") + 1 :][:2]
-    patch = json.loads(given[given.index("-p") + 1])
+if "patch" in arguments:
+    kind, name = arguments[arguments.index("patch") + 1 :][:2]
+    patch = json.loads(arguments[arguments.index("-p") + 1])
     def merged(old, new):
         if not isinstance(old, dict) or not isinstance(new, dict):
             return new
         both = {{**old, **{{key: merged(old.get(key, {{}}), value) for key, value in new.items()}}}}
         return {{key: value for key, value in both.items() if value is not None}}
-    for number, item in enumerate(told["items"]):
+    for number, item in enumerate(settings["items"]):
         if item["metadata"]["name"] == name and plural(item) == kind.partition(".")[0]:
-            told["items"][number] = merged(item, patch)
-            json.dump(told, open(path, "w"))
-            print(json.dumps(told["items"][number]))
+            settings["items"][number] = merged(item, patch)
+            json.dump(settings, open(path, "w"))
+            print(json.dumps(settings["items"][number]))
             sys.exit(0)
     sys.exit(f'Error from server (NotFound): {{kind}} "{{name}}" not found')
-if "delete" in given or "exec" in given:
+if "delete" in arguments or "exec" in arguments:
     sys.exit(0)
-if "config" in given:
+if "config" in arguments:
     print(json.dumps({{"contexts": [{{"name": "lab", "context": {{"namespace": "fleet"}}}}]}}))
     sys.exit(0)
-if "annotate" in given:
-    kind, name = given[given.index("annotate") + 1 :][:2]
-    note, _, value = next(a for a in given if "=" in a and not a.startswith("-")).partition("=")
-    for item in told["items"]:
+if "annotate" in arguments:
+    kind, name = arguments[arguments.index("annotate") + 1 :][:2]
+    note, _, value = next(a for a in arguments if "=" in a and not a.startswith("-")).partition("=")
+    for item in settings["items"]:
         if item["metadata"]["name"] == name:
             item["metadata"].setdefault("annotations", {{}})[note] = value
-    told["asked"] = value
-    json.dump(told, open(path, "w"))
+    settings["asked"] = value
+    json.dump(settings, open(path, "w"))
     sys.exit(0)
-if told["then"] and told["asked"]:
-    fields = json.loads(json.dumps(told["then"].pop(0)).replace("ASKED", told["asked"]))
-    told["items"][0]["status"] |= fields
-    json.dump(told, open(path, "w"))
+if settings["then"] and settings["asked"]:
+    fields = json.loads(json.dumps(settings["then"].pop(0)).replace("ASKED", settings["asked"]))
+    settings["items"][0]["status"] |= fields
+    json.dump(settings, open(path, "w"))
 names = []
 for argument in rest[1:]:
     if argument.startswith("-"):
         break
     names.append(argument)
-found = [item for item in told["items"] if plural(item) in kinds]
+found = [item for item in settings["items"] if plural(item) in kinds]
 named = [item for name in names for item in found if item["metadata"]["name"] == name]
 if names and len(named) < len(names):
-    if "--ignore-not-found" in given:
+    if "--ignore-not-found" in arguments:
         if named:
             print(json.dumps({{"kind": "List", "items": named}}))
         sys.exit(0)
@@ -95,10 +95,10 @@ class FakeKubectl:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._told, self._asked = folder / "told.json", folder / "asked"
+        self._settings, self._asked = folder / "settings.json", folder / "asked"
         self.tell([])
         program = folder / "kubectl"
-        program.write_text(SCRIPT.format(told=str(self._told), asked=str(self._asked)))
+        program.write_text(SCRIPT.format(settings=str(self._settings), asked=str(self._asked)))
         program.chmod(0o755)
 
     def tell(
@@ -120,12 +120,12 @@ class FakeKubectl:
         answers = {"items": list(items), "error": error, "watch": watch, "forbidden": list(forbidden)}
         answers |= {"then": list(then), "asked": ""}
         fresh.write_text(json.dumps(answers))
-        fresh.replace(self._told)
+        fresh.replace(self._settings)
 
     def item(self, name: str) -> dict[str, Any]:
         """Return an object with the patches that were applied."""
         found: dict[str, Any] = next(
-            item for item in json.loads(self._told.read_text())["items"] if item["metadata"]["name"] == name
+            item for item in json.loads(self._settings.read_text())["items"] if item["metadata"]["name"] == name
         )
         return found
 

@@ -7,20 +7,20 @@ from typing import Any
 READY = {"conditions": [{"type": "Ready", "status": "True"}]}
 KUBECTL = """#!/usr/bin/env python3
 import json, sys, time
-told = json.load(open({told!r}))
+settings = json.load(open({settings!r}))
 with open({asked!r}, "a") as log:
     log.write(" ".join(sys.argv[1:]) + "\\n")
 if "port-forward" in sys.argv:
-    if told["port"] is None:
+    if settings["port"] is None:
         sys.exit("error: unable to forward port because pod is not running")
-    print(f"Forwarding from 127.0.0.1:{{told['port']}} -> 9108", flush=True)
+    print(f"Forwarding from 127.0.0.1:{{settings['port']}} -> 9108", flush=True)
     time.sleep(60)
 elif "robotworkload" in sys.argv:
-    if told["workload"] is None:
+    if settings["workload"] is None:
         sys.exit('Error from server (NotFound): robotworkloads.understudy.dev "robot-2" not found')
-    print(json.dumps(told["workload"]))
+    print(json.dumps(settings["workload"]))
 else:
-    print(json.dumps({{"items": told["pods"]}}))
+    print(json.dumps({{"items": settings["pods"]}}))
 """
 
 

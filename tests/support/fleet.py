@@ -38,7 +38,7 @@ def ago(seconds: float) -> str:
     return rfc3339(NOW - seconds)
 
 
-def said(type_: str, status: str, reason: str, message: str = "", *, since: float = 252.0) -> Condition:
+def condition(type_: str, status: str, reason: str, message: str = "", *, since: float = 252.0) -> Condition:
     return Condition(
         type=type_, status=status, reason=reason, message=message, last_transition_time=ago(since)[:19] + "Z"
     )  # type: ignore[arg-type]
@@ -188,12 +188,12 @@ def status(name: str, ending: str, epoch: int, *conditions: Condition, **more: A
     """Build the status of a robot with a working active instance and protection, except for the given changes."""
     active = f"{name}-{ending}" if ending else ""
     usual = [
-        said("Accepted", "True", "Accepted"),
-        said("Reconciled", "True", "Reconciled"),
-        said("Protected", "True", "FirstStrategyReady"),
-        said("Healthy", "True", "Healthy"),
-        said("GateEnforced", "True", "SeenFromPackets"),
-        said("Recovering", "False", "Recovered"),
+        condition("Accepted", "True", "Accepted"),
+        condition("Reconciled", "True", "Reconciled"),
+        condition("Protected", "True", "FirstStrategyReady"),
+        condition("Healthy", "True", "Healthy"),
+        condition("GateEnforced", "True", "SeenFromPackets"),
+        condition("Recovering", "False", "Recovered"),
     ]
     conditions_by_type = {c.type: c for c in usual} | {c.type: c for c in conditions}
     fields: dict[str, Any] = {
@@ -219,7 +219,8 @@ def degraded() -> Object:
     name = "robot-18-navigation"
     words = "/scan at 8.6 Hz (band 9.0 to 11.0), from the tree's leaf sensors/scan."
     return workload(
-        name, status=status(name, "m9d4z", 3, said("Degraded", "True", "NotWell", words, since=38), health="Degraded")
+        name,
+        status=status(name, "m9d4z", 3, condition("Degraded", "True", "NotWell", words, since=38), health="Degraded"),
     )
 
 
@@ -238,8 +239,8 @@ def unprotected() -> Object:
             name,
             "c5n8r",
             7,
-            said("Protected", "False", "ImagePullBackOff", f"{IMAGE} {outlook}", since=192),
-            said("Reconciled", "False", "ImagePullBackOff", IMAGE, since=192),
+            condition("Protected", "False", "ImagePullBackOff", f"{IMAGE} {outlook}", since=192),
+            condition("Reconciled", "False", "ImagePullBackOff", IMAGE, since=192),
             standby="Executing (0/1)",
             strategy="Uninitialized",
         ),
@@ -250,7 +251,7 @@ def unwatched() -> Object:
     name = "robot-20-navigation"
     words = "the monitor (Deployment robot-20-navigation-monitor) is not ready. Until the monitor is ready, a failure is not detected."
     return workload(
-        name, status=status(name, "t3f6w", 1, said("Protected", "False", "MonitorNotReady", words, since=9))
+        name, status=status(name, "t3f6w", 1, condition("Protected", "False", "MonitorNotReady", words, since=9))
     )
 
 
@@ -276,16 +277,16 @@ def gate(
 
 def short_of_one() -> Object:
     conditions = [
-        said("Accepted", "True", "Accepted", "The spec is valid."),
-        said("Ready", "False", "ImagePullBackOff", f"2 of 3 are ready; {IMAGE}", since=192),
+        condition("Accepted", "True", "Accepted", "The spec is valid."),
+        condition("Ready", "False", "ImagePullBackOff", f"2 of 3 are ready; {IMAGE}", since=192),
     ]
     return hot(claimed=0, conditions=conditions)
 
 
 def short_of_another() -> Object:
     conditions = [
-        said("Accepted", "True", "Accepted", "The spec is valid."),
-        said("Ready", "False", "PodsNotReady", "3 of 4 are ready.", since=4),
+        condition("Accepted", "True", "Accepted", "The spec is valid."),
+        condition("Ready", "False", "PodsNotReady", "3 of 4 are ready.", since=4),
     ]
     return spare(conditions=conditions)
 

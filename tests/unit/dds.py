@@ -7,7 +7,7 @@ import os
 import pytest
 
 
-def keep_to_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+def isolate_discovery(monkeypatch: pytest.MonkeyPatch) -> None:
     """Set the environment that all nodes of a test share."""
     monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
     monkeypatch.setenv("ROS_DOMAIN_ID", str(10 + os.getpid() % 90))

@@ -40,7 +40,7 @@ class Process:
             except ValueError:
                 print(line, end="")
 
-    def said(self, event: str, **fields: Any) -> list[dict[str, Any]]:
+    def events_of(self, event: str, **fields: Any) -> list[dict[str, Any]]:
         """The lines of an event that have these fields."""
         return [e for e in list(self.events) if e.get("event") == event and fields.items() <= e.items()]
 

@@ -65,7 +65,7 @@ class Agent:
         return {"goal": goal, "cancel": cancel, "goals": goals, "resent": resent}
 
 
-class Heard:
+class LinkRecorder:
     """Records the events that the link reports, and provides the orders."""
 
     def __init__(self) -> None:
@@ -113,12 +113,12 @@ def agent() -> Agent:
 
 
 @pytest.fixture
-def heard() -> Heard:
-    return Heard()
+def recorder() -> LinkRecorder:
+    return LinkRecorder()
 
 
 @pytest.fixture
-async def link(agent: Agent, recorder: Heard) -> AsyncIterator[InstanceLink]:
+async def link(agent: Agent, recorder: LinkRecorder) -> AsyncIterator[InstanceLink]:
     server = await agent.sessions.serve(0, host="127.0.0.1")
     port = server.sockets[0].getsockname()[1]
     made = InstanceLink(Instance("1", "robot-1", "127.0.0.1", port, TOKEN.decode(), ""), "robot", recorder)
@@ -127,7 +127,7 @@ async def link(agent: Agent, recorder: Heard) -> AsyncIterator[InstanceLink]:
     server.close()
 
 
-async def test_orders_are_sent_once_and_in_order(agent: Agent, recorder: Heard, link: InstanceLink) -> None:
+async def test_orders_are_sent_once_and_in_order(agent: Agent, recorder: LinkRecorder, link: InstanceLink) -> None:
     recorder.ordered = [order(FIRST), order(SECOND)]
     link.wake()
     await eventually(lambda: len(agent.asked) == 3)
@@ -139,7 +139,7 @@ async def test_orders_are_sent_once_and_in_order(agent: Agent, recorder: Heard, 
 
 
 async def test_goals_that_the_agent_has_are_reported_and_not_sent_again(
-    agent: Agent, recorder: Heard, link: InstanceLink
+    agent: Agent, recorder: LinkRecorder, link: InstanceLink
 ) -> None:
     agent.known = [{"id": FIRST, "state": "running", "status": 0, "result": "", "note": "note"}]
     recorder.ordered = [order(FIRST), order(SECOND)]
@@ -150,7 +150,7 @@ async def test_goals_that_the_agent_has_are_reported_and_not_sent_again(
 
 
 async def test_a_goal_that_was_rejected_is_sent_again_when_it_is_ordered_again(
-    agent: Agent, recorder: Heard, link: InstanceLink
+    agent: Agent, recorder: LinkRecorder, link: InstanceLink
 ) -> None:
     recorder.ordered = [order(FIRST)]
     await eventually(lambda: ("goal", FIRST) in agent.asked)
@@ -160,7 +160,9 @@ async def test_a_goal_that_was_rejected_is_sent_again_when_it_is_ordered_again(
     await eventually(lambda: agent.asked.count(("goal", FIRST)) == 2)
 
 
-async def test_a_goal_that_is_no_longer_ordered_is_cancelled(agent: Agent, recorder: Heard, link: InstanceLink) -> None:
+async def test_a_goal_that_is_no_longer_ordered_is_cancelled(
+    agent: Agent, recorder: LinkRecorder, link: InstanceLink
+) -> None:
     recorder.ordered = [order(FIRST)]
     await eventually(lambda: ("goal", FIRST) in agent.asked)
     recorder.ordered = []
@@ -168,7 +170,7 @@ async def test_a_goal_that_is_no_longer_ordered_is_cancelled(agent: Agent, recor
     await eventually(lambda: ("cancel", FIRST) in agent.asked)
 
 
-async def test_a_cancellation_is_requested_once(agent: Agent, recorder: Heard, link: InstanceLink) -> None:
+async def test_a_cancellation_is_requested_once(agent: Agent, recorder: LinkRecorder, link: InstanceLink) -> None:
     recorder.ordered = [order(FIRST, cancel=True)]
     await eventually(lambda: recorder.cancelled == [FIRST])
     link.wake()
@@ -179,7 +181,7 @@ async def test_a_cancellation_is_requested_once(agent: Agent, recorder: Heard, l
 
 
 async def test_a_refused_goal_is_reported_and_does_not_block_others(
-    agent: Agent, recorder: Heard, link: InstanceLink
+    agent: Agent, recorder: LinkRecorder, link: InstanceLink
 ) -> None:
     agent.refused_action = "/dock"
     recorder.ordered = [order(FIRST, "/dock"), order(SECOND)]
@@ -191,7 +193,7 @@ async def test_a_refused_goal_is_reported_and_does_not_block_others(
 
 
 async def test_a_recovery_tree_receives_an_answer_after_its_goals_were_sent(
-    agent: Agent, recorder: Heard, link: InstanceLink
+    agent: Agent, recorder: LinkRecorder, link: InstanceLink
 ) -> None:
     await eventually(lambda: agent.sessions.count)
     agent.sessions.publish({"resendGoals": 7})

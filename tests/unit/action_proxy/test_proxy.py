@@ -180,36 +180,36 @@ def pods(dds, tmp_path: Path, start):
 
 
 def executed(pod: Pod) -> list[int]:
-    return [line["order"] for line in pod.application.said("executing")]
+    return [line["order"] for line in pod.application.events_of("executing")]
 
 
 async def test_a_client_sees_one_goal_although_another_instance_takes_over(monitor, pods, start):
     first, second = pods("robot-1", STEP="0.1"), pods("robot-2", STEP="0.1")
     monitor.switch(first, first.peer(), second.peer())
     client = start("client", ACTION, "100", "500")
-    await eventually(lambda: client.said("feedback", index=0, step=10))
-    assert client.said("answered", accepted=True)
-    goal = client.said("answered", index=0)[0]["goal"]
-    assert first.application.said("executing", goal=goal), "the client's own id"
-    assert second.application.said("executing") == []
+    await eventually(lambda: client.events_of("feedback", index=0, step=10))
+    assert client.events_of("answered", accepted=True)
+    goal = client.events_of("answered", index=0)[0]["goal"]
+    assert first.application.events_of("executing", goal=goal), "the client's own id"
+    assert second.application.events_of("executing") == []
     first.kill()
     monitor.switch(None, second.peer(), settled=False)
     late = start("client", ACTION, "3")
-    await eventually(lambda: late.said("ready"))
-    assert client.said("ended", index=0) == []
+    await eventually(lambda: late.events_of("ready"))
+    assert client.events_of("ended", index=0) == []
     monitor.switch(second, second.peer(), settled=False)
     monitor.settled = True
     monitor.tell()
-    await eventually(lambda: client.said("ended", index=0, status=SUCCEEDED), 120)
-    assert second.application.said("executing", goal=goal)
-    assert len(client.said("answered", index=0)) == 1
-    steps = [line["step"] for line in client.said("feedback", index=0)]
+    await eventually(lambda: client.events_of("ended", index=0, status=SUCCEEDED), 120)
+    assert second.application.events_of("executing", goal=goal)
+    assert len(client.events_of("answered", index=0)) == 1
+    steps = [line["step"] for line in client.events_of("feedback", index=0)]
     # A client that is starved may miss some, as with every publisher; they never come twice or in another order.
     again = [i for i in range(1, len(steps)) if steps[i] <= steps[i - 1]]
     assert len(again) == 1, "first those of the one instance, then those of the other"
     assert len(steps[again[0] :]) > 20
-    assert len(client.said("ended", index=0)[0]["result"]) == 102
-    await eventually(lambda: late.said("ended", status=SUCCEEDED))
+    assert len(client.events_of("ended", index=0)[0]["result"]) == 102
+    await eventually(lambda: late.events_of("ended", status=SUCCEEDED))
     await eventually(lambda: monitor.task().get("resent") == 1 and monitor.task()["active"] == 0)
 
 
@@ -218,39 +218,39 @@ async def test_the_proxy_is_killed_and_no_client_notices(monitor, pods, start, j
     pod = pods("robot-1", STEP="0.1")
     monitor.switch(pod, pod.peer())
     client = start("client", ACTION, "60", "61")
-    await eventually(lambda: client.said("feedback", index=1, step=3))
+    await eventually(lambda: client.events_of("feedback", index=1, step=3))
     asked = len(monitor.reports)
     monitor.kill(journal=journal)
     await monitor.start()
-    await eventually(lambda: client.said("ended", index=0) and client.said("ended", index=1), 120)
-    assert [line["status"] for line in client.said("ended")] == [SUCCEEDED, SUCCEEDED]
+    await eventually(lambda: client.events_of("ended", index=0) and client.events_of("ended", index=1), 120)
+    assert [line["status"] for line in client.events_of("ended")] == [SUCCEEDED, SUCCEEDED]
     assert sorted(executed(pod)) == [60, 61], "each was executed once"
     assert len(monitor.reports) > asked
     after = start("client", ACTION, "2")
-    await eventually(lambda: after.said("ended", status=SUCCEEDED))
+    await eventually(lambda: after.events_of("ended", status=SUCCEEDED))
 
 
 async def test_goals_are_cancelled_rejected_preempted_and_survive_their_client(monitor, pods, start):
     pod, spare = pods("robot-1", "preempt"), pods("robot-2")
     monitor.switch(pod, pod.peer(), spare.peer())
     client = start("client", ACTION, "400", "2000", "401", ONE_BY_ONE="1")
-    await eventually(lambda: len(client.said("answered")) == 3)
-    assert [line["accepted"] for line in sorted(client.said("answered"), key=lambda line: line["index"])] == [
+    await eventually(lambda: len(client.events_of("answered")) == 3)
+    assert [line["accepted"] for line in sorted(client.events_of("answered"), key=lambda line: line["index"])] == [
         True,
         False,
         True,
     ]
     # The server replaced the older goal by the newer one. The older goal's client is informed, and no switch sends that goal again.
-    await eventually(lambda: client.said("ended", index=0, status=6))
+    await eventually(lambda: client.events_of("ended", index=0, status=6))
     client.tell("cancel 2")
-    await eventually(lambda: client.said("ended", index=2, status=CANCELED))
-    assert client.said("canceling", index=2, code=0, goals=1)
+    await eventually(lambda: client.events_of("ended", index=2, status=CANCELED))
+    assert client.events_of("canceling", index=2, code=0, goals=1)
     gone = start("client", ACTION, "402")
-    await eventually(lambda: gone.said("feedback"))
+    await eventually(lambda: gone.events_of("feedback"))
     gone.kill()
     monitor.switch(spare, pod.peer(), spare.peer())
     await eventually(lambda: executed(spare) == [402])
-    await eventually(lambda: pod.application.said("canceled") and len(pod.application.said("canceled")) == 2)
+    await eventually(lambda: pod.application.events_of("canceled") and len(pod.application.events_of("canceled")) == 2)
 
 
 async def test_an_executing_standby_has_the_goal_already(monitor, pods, start):
@@ -258,12 +258,12 @@ async def test_an_executing_standby_has_the_goal_already(monitor, pods, start):
     monitor.switch(first, first.peer(), second.peer(executing=True))
     client = start("client", ACTION, "40")
     await eventually(lambda: executed(second) == [40])
-    await eventually(lambda: client.said("feedback", step=5))
+    await eventually(lambda: client.events_of("feedback", step=5))
     first.kill()
     monitor.switch(second, second.peer())
-    await eventually(lambda: client.said("ended", status=SUCCEEDED), 120)
+    await eventually(lambda: client.events_of("ended", status=SUCCEEDED), 120)
     assert executed(second) == [40], "it went on, and wasn't begun again"
-    assert client.said("answered", accepted=True)
+    assert client.events_of("answered", accepted=True)
 
 
 async def test_the_liveness_probe_fails_if_the_proxy_hangs(monitor):

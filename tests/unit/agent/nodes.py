@@ -49,14 +49,16 @@ def localize(deaf: str = "0") -> None:
         offset = 0
 
         def on_configure(self, state):
-            self.said = rclpy.node.Node.create_publisher(self, PoseWithCovarianceStamped, "/amcl_pose", latched)
+            self.pose_publisher = rclpy.node.Node.create_publisher(
+                self, PoseWithCovarianceStamped, "/amcl_pose", latched
+            )
             self.create_subscription(PoseWithCovarianceStamped, "/initialpose", self.take, 1)
             return TransitionCallbackReturn.SUCCESS
 
         def take(self, message):
-            Localizer.heard += 1
-            if Localizer.heard > int(deaf):
-                self.said.publish(message)
+            Localizer.poses_received += 1
+            if Localizer.poses_received > int(deaf):
+                self.pose_publisher.publish(message)
 
     node = Localizer("localizer")
     node.declare_parameter("speed", 0.25)

@@ -18,7 +18,7 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
 
-from tests.unit.dds import keep_to_itself
+from tests.unit.dds import isolate_discovery
 from understudy.agent.restoration.pose_restoration import composed
 from understudy.agent.restoration.state_restoration import StateRestorer
 from understudy.api.protocol.kept_state import KeptSample, KeptState, Motion, RestoreReport
@@ -72,7 +72,7 @@ class Wheels:
 
 @pytest.fixture
 def graph(monkeypatch: pytest.MonkeyPatch) -> Iterator[Graph]:
-    keep_to_itself(monkeypatch)
+    isolate_discovery(monkeypatch)
     made = Graph("robot")
     yield made
     made.close()
@@ -122,7 +122,7 @@ def motion(gid: bytes, **fields: object) -> Motion:
     return replace(usual, **fields)
 
 
-async def given(
+async def restored(
     caller: InstanceCaller, localizer: Callable[[], None], sample: KeptSample
 ) -> tuple[RestoreReport, PoseWithCovarianceStamped]:
     """Returns the result of the restoration, and what the instance received."""
@@ -137,7 +137,7 @@ async def test_a_pose_is_propagated_to_the_time_of_its_restoration(
     localizer: Callable[[], None], caller: InstanceCaller, wheels: Wheels
 ) -> None:
     before = time.time()
-    report, got = await given(caller, localizer, kept(motion(wheels.gid)))
+    report, got = await restored(caller, localizer, kept(motion(wheels.gid)))
     (entry,) = report.restored
     assert (entry.name, entry.carried, entry.note) == ("/amcl_pose", pytest.approx(1.0), "")
     assert report.not_restored == ()
@@ -152,7 +152,7 @@ async def test_a_pose_is_propagated_to_the_time_of_its_restoration(
 async def test_a_pose_is_restored_as_kept_if_odometry_has_another_source(
     localizer: Callable[[], None], caller: InstanceCaller, wheels: Wheels
 ) -> None:
-    report, got = await given(caller, localizer, kept(motion(b"x" * 16)))
+    report, got = await restored(caller, localizer, kept(motion(b"x" * 16)))
     (entry,) = report.restored
     assert entry.carried is None
     assert_golden("agent", entry.note, "/odom", "another publisher")
@@ -162,7 +162,7 @@ async def test_a_pose_is_restored_as_kept_if_odometry_has_another_source(
 async def test_a_pose_is_restored_as_kept_if_odometry_is_silent(
     localizer: Callable[[], None], caller: InstanceCaller
 ) -> None:
-    report, got = await given(caller, localizer, kept(motion(b"x" * 16)))
+    report, got = await restored(caller, localizer, kept(motion(b"x" * 16)))
     (entry,) = report.restored
     assert_golden("agent", entry.note, "/odom", "5 s")
     assert got.pose.pose.position.y == 5.0
@@ -172,7 +172,7 @@ async def test_a_pose_is_restored_as_kept_if_the_monitor_requests_it(
     localizer: Callable[[], None], caller: InstanceCaller, wheels: Wheels
 ) -> None:
     missing = Motion("/odom", ODOMETRY, missing="the pose cannot be propagated by /odom: nobody publishes it")
-    report, got = await given(caller, localizer, kept(missing))
+    report, got = await restored(caller, localizer, kept(missing))
     assert_golden("agent", report.restored[0].note, "/odom", "nobody publishes")
     assert got.pose.pose.position.y == 5.0
 
@@ -191,14 +191,14 @@ async def test_a_pose_that_must_be_propagated_and_cannot_be_is_not_restored(
 async def test_a_type_that_is_not_installed_propagates_nothing(
     localizer: Callable[[], None], caller: InstanceCaller, wheels: Wheels
 ) -> None:
-    report, _ = await given(caller, localizer, kept(motion(wheels.gid, type="wheel_msgs/msg/Odometry")))
+    report, _ = await restored(caller, localizer, kept(motion(wheels.gid, type="wheel_msgs/msg/Odometry")))
     assert "wheel_msgs/msg/Odometry is not installed" in report.restored[0].note
 
 
 async def test_unobserved_time_is_reported(
     localizer: Callable[[], None], caller: InstanceCaller, wheels: Wheels
 ) -> None:
-    report, _ = await given(caller, localizer, kept(motion(wheels.gid, blind=4.0)))
+    report, _ = await restored(caller, localizer, kept(motion(wheels.gid, blind=4.0)))
     assert_golden("agent", report.restored[0].note, "/odom", "4.0 s")
     assert report.restored[0].carried == pytest.approx(1.0)
 

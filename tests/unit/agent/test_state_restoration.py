@@ -16,7 +16,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.serialization import deserialize_message, serialize_message
 
 from tests.unit.agent.poses import POSE, pose
-from tests.unit.dds import keep_to_itself
+from tests.unit.dds import isolate_discovery
 from understudy.agent.control_channel import Peer, Refused
 from understudy.agent.restoration.kept_messages import stamped
 from understudy.agent.restoration.state_restoration import StateRestorer
@@ -39,7 +39,7 @@ PEER = Peer("shop", "", "127.0.0.1")
 
 @pytest.fixture(autouse=True)
 def domain(monkeypatch: pytest.MonkeyPatch) -> None:
-    keep_to_itself(monkeypatch)
+    isolate_discovery(monkeypatch)
 
 
 @pytest.fixture

@@ -37,7 +37,7 @@ def dds(monkeypatch: pytest.MonkeyPatch, tmp_path):
         monkeypatch.setenv(name, value)
 
 
-class Told:
+class AgentEvents:
     """The events of an agent."""
 
     def __init__(self) -> None:
@@ -53,7 +53,7 @@ class Told:
         else:
             self.resends.append(event["resendGoals"])
 
-    def said(self, goal: str, state: str) -> dict | None:
+    def goal_state(self, goal: str, state: str) -> dict | None:
         return next((g for g in self.goals if g["id"] == goal and g["state"] == state), None)
 
 
@@ -72,7 +72,7 @@ def body(goal: str, order: int) -> dict:
 async def agent(dds, pod: Pod, links):
     pod.environment = {"UNDERSTUDY_WORKLOAD": "robot"}
     pod.start_agent()
-    events = Told()
+    events = AgentEvents()
     links.append(link := pod.link(claim="", on_event=events))
     await link.wait_connected(60)
     await link.configure(TREE, OUTPUTS, 60.0)
@@ -86,14 +86,14 @@ async def test_goals_are_followed_and_executed_once_although_the_agent_is_killed
     await link.request("goal", body(short, 4))
     server = start("serve", ACTION, STEP="0.2")
     outside = start("client", ACTION, "3", UNDERSTUDY_POD="another-pod")
-    await eventually(lambda: events.said(short, "ended"), 60)
-    assert events.said(short, "ended")["status"] == SUCCEEDED
+    await eventually(lambda: events.goal_state(short, "ended"), 60)
+    assert events.goal_state(short, "ended")["status"] == SUCCEEDED
     assert len([f for f in events.feedback if f["id"] == short]) == 4
     for goal, order in ((long, 480), (wrong, 1000), (aborted, 510)):
         await link.request("goal", body(goal, order))
-    await eventually(lambda: events.said(long, "running") and events.said(wrong, "rejected"), 60)
-    await eventually(lambda: events.said(aborted, "ended"), 60)
-    assert events.said(aborted, "ended")["status"] == ABORTED
+    await eventually(lambda: events.goal_state(long, "running") and events.goal_state(wrong, "rejected"), 60)
+    await eventually(lambda: events.goal_state(aborted, "ended"), 60)
+    assert events.goal_state(aborted, "ended")["status"] == ABORTED
     pod.kill(pod.agent)
     await eventually(lambda: not link.connected)
     pod.start_agent()
@@ -101,14 +101,14 @@ async def test_goals_are_followed_and_executed_once_although_the_agent_is_killed
     assert (await link.request("goals", {}))["goals"] == []
     events.goals.clear()
     await link.request("goal", body(long, 480))
-    await eventually(lambda: events.said(long, "running"), 60)
-    assert len(server.said("executing", goal=long)) == 1
+    await eventually(lambda: events.goal_state(long, "running"), 60)
+    assert len(server.events_of("executing", goal=long)) == 1
     assert (await link.request("cancel", {"goal": long})).items() >= {"known": True, "accepted": True}.items()
-    await eventually(lambda: events.said(long, "ended"), 60)
-    assert events.said(long, "ended")["status"] == CANCELED
+    await eventually(lambda: events.goal_state(long, "ended"), 60)
+    assert events.goal_state(long, "ended")["status"] == CANCELED
     assert not (await link.request("cancel", {"goal": uuid.uuid4().hex}))["known"]
     # The server is in its pod's partition: a client of another one doesn't reach it.
-    assert not outside.said("ready")
+    assert not outside.events_of("ready")
 
 
 async def test_a_restarted_server_has_lost_its_goals(agent, start):  # noqa: F811
@@ -116,10 +116,10 @@ async def test_a_restarted_server_has_lost_its_goals(agent, start):  # noqa: F81
     goal = uuid.uuid4().hex
     server = start("serve", ACTION, STEP="0.2")
     await link.request("goal", body(goal, 499))
-    await eventually(lambda: events.said(goal, "running"), 60)
+    await eventually(lambda: events.goal_state(goal, "running"), 60)
     server.kill()
     start("serve", ACTION)
-    await eventually(lambda: events.said(goal, "lost"), 60)
+    await eventually(lambda: events.goal_state(goal, "lost"), 60)
 
 
 async def test_a_result_with_a_lost_answer_is_requested_again(agent, start):  # noqa: F811
@@ -127,9 +127,9 @@ async def test_a_result_with_a_lost_answer_is_requested_again(agent, start):  # 
     goal = uuid.uuid4().hex
     server = start("serve", ACTION, DROP="1")
     await link.request("goal", body(goal, 3))
-    await eventually(lambda: events.said(goal, "ended"), 60)
-    assert events.said(goal, "ended")["status"] == SUCCEEDED
-    assert len(server.said("dropped")) == 1
+    await eventually(lambda: events.goal_state(goal, "ended"), 60)
+    assert events.goal_state(goal, "ended")["status"] == SUCCEEDED
+    assert len(server.events_of("dropped")) == 1
 
 
 async def test_impossible_orders_are_refused(agent):

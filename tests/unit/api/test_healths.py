@@ -8,14 +8,14 @@ from understudy.api.conditions import Condition, Status, condition
 from understudy.api.health_reasons import decisive, why
 
 
-def said(type_: str, status: Status, reason: str) -> Condition:
+def reported(type_: str, status: Status, reason: str) -> Condition:
     return condition(type_, status, reason, f"{type_}: {reason}")
 
 
 ALL = [
-    said("Degraded", "True", "NotWell"),
-    said("Recovering", "True", "FailureDetected"),
-    said("Healthy", "False", "Failed"),
+    reported("Degraded", "True", "NotWell"),
+    reported("Recovering", "True", "FailureDetected"),
+    reported("Healthy", "False", "Failed"),
 ]
 
 
@@ -34,7 +34,7 @@ def test_each_health_is_explained_by_a_condition(health: str, words: str) -> Non
 
 
 def test_conditions_of_the_past_and_of_another_instance_explain_nothing() -> None:
-    past = [said("Recovering", "False", "Recovered"), said("Healthy", "False", "Failed")]
+    past = [reported("Recovering", "False", "Recovered"), reported("Healthy", "False", "Failed")]
     assert why("Failed", "a", past) == "Healthy: Failed"
     assert why("Failed", "", past) == "it has failed"
     assert decisive("Unknown", "a", ALL) is None

@@ -39,7 +39,7 @@ def warm(name: str = "warm", **spec: Any) -> Object:
     return custom("FallbackPool", name, more | spec)
 
 
-def told(plan: Plan) -> WorkloadSettings:
+def settings_of(plan: Plan) -> WorkloadSettings:
     return WorkloadSettings.model_validate_json(
         applied(plan, "configmaps")[names.settings("w")]["data"]["settings.json"]
     )
@@ -47,7 +47,7 @@ def told(plan: Plan) -> WorkloadSettings:
 
 def order(plan: Plan) -> list[str]:
     """The chosen strategies: the pools, and Restart."""
-    found = told(plan).strategies
+    found = settings_of(plan).strategies
     assert found is not None
     return [one.pool_ref.name if one.pool_ref is not None else one.type for one in found]
 

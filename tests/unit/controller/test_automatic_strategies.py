@@ -6,7 +6,7 @@ import copy
 import json
 
 from tests.support.golden import assert_golden
-from tests.unit.controller.strategy_policies import auto, order, pools_of, told, warm, world
+from tests.unit.controller.strategy_policies import auto, order, pools_of, settings_of, warm, world
 from tests.unit.controller.world import (
     World,
     applied,
@@ -41,14 +41,14 @@ def recovered(by: str, seconds: float, times: int = 3) -> list[Object]:
 def test_the_monitor_receives_the_chosen_strategies_and_their_pools() -> None:
     plan = world().plan()
     assert order(plan) == ["warm", "spare", "Restart"]
-    assert [choice.name for choice in told(plan).pools] == ["warm", "spare"]
-    strategies = told(plan).strategies
+    assert [choice.name for choice in settings_of(plan).pools] == ["warm", "spare"]
+    strategies = settings_of(plan).strategies
     assert strategies is not None
     assert {one.verify_within for one in strategies} == {"10s"}
 
 
 def test_no_strategies_are_chosen_if_the_policy_lists_them() -> None:
-    assert told(world(policy("hot", "Restart")).plan()).strategies is None
+    assert settings_of(world(policy("hot", "Restart")).plan()).strategies is None
 
 
 def test_no_standby_is_created_for_a_pool_that_was_not_chosen() -> None:
@@ -164,9 +164,9 @@ def test_the_short_form_of_automatic_strategies_is_auto() -> None:
 
 def test_the_order_of_the_objects_does_not_change_the_chosen_strategies() -> None:
     made = world(auto(taskCriticality="High"))
-    expected = json.dumps(told(made.plan()).to_wire())
+    expected = json.dumps(settings_of(made.plan()).to_wire())
     other = world(auto(taskCriticality="High"), *(copy.deepcopy(pool) for pool in (spare(), warm(), hot())))
-    assert json.dumps(told(other.plan()).to_wire()) == expected
+    assert json.dumps(settings_of(other.plan()).to_wire()) == expected
 
 
 def stored(*policies_and_workloads: Object) -> Store:

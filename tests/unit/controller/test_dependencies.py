@@ -74,7 +74,7 @@ class TestOrder:
         assert len(dependency_graph.upstream(known, "0")) == 300
 
 
-def told(known: dependency_graph.Graph, name: str) -> tuple[str, str, str]:
+def resolved(known: dependency_graph.Graph, name: str) -> tuple[str, str, str]:
     (found,) = dependency_graph.resolved(known, workload(name))
     return found.status, found.reason, found.message
 
@@ -82,25 +82,25 @@ def told(known: dependency_graph.Graph, name: str) -> tuple[str, str, str]:
 class TestCondition:
     @pytest.mark.parametrize("name", ["a", "b", "c"])
     def test_each_workload_of_a_cycle_reports_the_whole_cycle(self, name: str) -> None:
-        status, reason, message = told(CIRCLE, name)
+        status, reason, message = resolved(CIRCLE, name)
         assert (status, reason) == ("False", "DependencyCycle")
         assert "a -> b -> c -> a" in message
         assert "protected as if it had no dependency" in message
 
     def test_a_workload_that_depends_on_a_cycle_reports_it(self) -> None:
-        assert "d depends on a cycle: a -> b -> c -> a" in told(CIRCLE, "d")[2]
+        assert "d depends on a cycle: a -> b -> c -> a" in resolved(CIRCLE, "d")[2]
 
     def test_a_workload_that_depends_on_itself_reports_it(self) -> None:
-        assert "a depends on itself (a -> a)" in told({"a": ["a"]}, "a")[2]
+        assert "a depends on itself (a -> a)" in resolved({"a": ["a"]}, "a")[2]
 
     def test_a_missing_dependency_is_reported_with_a_similar_name(self) -> None:
-        status, reason, message = told({"planning": ["localisation"], "localization": []}, "planning")
+        status, reason, message = resolved({"planning": ["localisation"], "localization": []}, "planning")
         assert (status, reason) == ("False", "DependencyNotFound")
         assert_golden("operator", message, 'RobotWorkload "localisation"', '"localization"')
 
     def test_resolved_dependencies_are_reported_in_order(self) -> None:
-        assert told(LADDER, "control")[:2] == ("True", "Resolved")
-        assert "localization, planning" in told(LADDER, "control")[2]
+        assert resolved(LADDER, "control")[:2] == ("True", "Resolved")
+        assert "localization, planning" in resolved(LADDER, "control")[2]
 
     def test_a_workload_without_dependencies_has_no_condition(self) -> None:
         assert dependency_graph.resolved(LADDER, workload("localization")) == []

@@ -10,7 +10,7 @@ from understudy.controller.runtime.fleet_metrics import FleetMetrics
 from understudy.kube.client import POOLS, WORKLOADS, Object
 
 
-def told(*workloads: Object, pools: tuple[Object, ...] = (), leading: bool = True) -> CollectorRegistry:
+def exported(*workloads: Object, pools: tuple[Object, ...] = (), leading: bool = True) -> CollectorRegistry:
     store, registry = Store(), CollectorRegistry()
     for item in workloads:
         store.put(WORKLOADS, item)
@@ -33,7 +33,7 @@ STATUS: Object = {
 
 
 def test_metrics_report_health_conditions_and_recoveries_of_a_workload() -> None:
-    registry = told(workload("w", status=STATUS))
+    registry = exported(workload("w", status=STATUS))
     of = {"namespace": "fleet", "workload": "w"}
     value = registry.get_sample_value
     assert value("understudy_workload_health", {**of, "health": "Recovering"}) == 1
@@ -45,13 +45,13 @@ def test_metrics_report_health_conditions_and_recoveries_of_a_workload() -> None
 
 
 def test_metrics_omit_conditions_that_need_no_attention() -> None:
-    samples = [s for family in told(workload("w", status=STATUS)).collect() for s in family.samples]
+    samples = [s for family in exported(workload("w", status=STATUS)).collect() for s in family.samples]
     assert "Degraded" not in {s.labels.get("condition") for s in samples}
 
 
 def test_metrics_count_a_workload_without_a_status() -> None:
     of = {"namespace": "fleet", "workload": "new"}
-    registry = told(workload("new"))
+    registry = exported(workload("new"))
     assert registry.get_sample_value("understudy_workload_health", {**of, "health": "Unknown"}) == 1
     assert registry.get_sample_value("understudy_workload_recoveries_total", of) == 0
     assert registry.get_sample_value("understudy_workload_last_recovery_timestamp_seconds", of) is None
@@ -60,7 +60,7 @@ def test_metrics_count_a_workload_without_a_status() -> None:
 def test_metrics_report_the_pods_of_a_pool_by_state() -> None:
     pool = custom("FallbackPool", "cold", {"readiness": "Uninitialized"})
     pool["status"] = {"desired": 4, "replicas": 3, "ready": 1, "claimed": 2, "waiting": 5}
-    registry = told(pools=(pool,))
+    registry = exported(pools=(pool,))
     of = {"namespace": "fleet", "pool": "cold"}
     states = {
         s: registry.get_sample_value("understudy_pool_pods", {**of, "state": s})
@@ -72,4 +72,4 @@ def test_metrics_report_the_pods_of_a_pool_by_state() -> None:
 
 
 def test_a_replica_that_is_not_the_leader_reports_no_metrics() -> None:
-    assert not list(told(workload("w", status=STATUS), leading=False).collect())
+    assert not list(exported(workload("w", status=STATUS), leading=False).collect())

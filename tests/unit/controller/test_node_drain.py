@@ -49,7 +49,7 @@ def world(*strategies: str, **spec: Any) -> World:
     return made
 
 
-def told(made: World) -> Drain | None:
+def written_drain(made: World) -> Drain | None:
     """The drain that the monitor gets."""
     text = applied(made.plan(), "configmaps")["w-settings"]["data"]["settings.json"]
     found = json.loads(text).get("drain")
@@ -84,7 +84,7 @@ def test_the_disruption_budget_covers_only_the_active_instance() -> None:
         "unhealthyPodEvictionPolicy": "AlwaysAllow",
         "selector": {"matchLabels": {names.WORKLOAD: "w", names.INSTANCE: "w-1"}},
     }
-    assert (told(made), condition(made)) == (None, None), "no node is drained"
+    assert (written_drain(made), condition(made)) == (None, None), "no node is drained"
 
 
 def test_the_disruption_budget_follows_the_active_instance() -> None:
@@ -107,7 +107,7 @@ def test_the_disruption_budget_does_not_change_during_a_recovery() -> None:
 def test_the_monitor_receives_the_drained_node_and_all_cordoned_nodes() -> None:
     made = world()
     made.cordoned = frozenset({"node-1", "node-3"})
-    assert told(made) == Drain(uid="uid-w-1", node="node-1", since=NOW, cordoned=["node-1", "node-3"])
+    assert written_drain(made) == Drain(uid="uid-w-1", node="node-1", since=NOW, cordoned=["node-1", "node-3"])
     found = condition(made)
     assert found is not None
     assert (found["status"], found["reason"]) == ("True", "Held")
@@ -117,7 +117,7 @@ def test_the_monitor_receives_the_drained_node_and_all_cordoned_nodes() -> None:
 def test_a_drain_of_another_node_has_no_effect() -> None:
     made = world()
     made.cordoned = frozenset({"node-2"})
-    assert (told(made), condition(made)) == (None, None)
+    assert (written_drain(made), condition(made)) == (None, None)
 
 
 def test_evictions_are_held_for_a_limited_time() -> None:
@@ -126,7 +126,7 @@ def test_evictions_are_held_for_a_limited_time() -> None:
     plan = made.build()
     assert plan.again_after == 300.0, "5m, as it is by default"
     made.now = NOW + 200
-    assert (told(made) or Drain(uid="", node="", since=0, cordoned=[])).since == NOW, (
+    assert (written_drain(made) or Drain(uid="", node="", since=0, cordoned=[])).since == NOW, (
         "an operator that is new knows it too"
     )
     assert made.plan().again_after == 100.0
@@ -136,7 +136,7 @@ def test_evictions_are_held_for_a_limited_time() -> None:
     assert found is not None
     assert (found["status"], found["reason"]) == ("False", "HoldEnded")
     assert "no instance on another node took over within 5m" in found["message"]
-    assert told(made) is not None, "the monitor goes on trying until the pod goes"
+    assert written_drain(made) is not None, "the monitor goes on trying until the pod goes"
 
 
 def test_the_policy_sets_how_long_evictions_are_held() -> None:
@@ -156,7 +156,7 @@ def test_evictions_are_not_held_if_no_instance_could_take_over() -> None:
     found = condition(made)
     assert found is not None
     assert (found["status"], found["reason"]) == ("False", "NoFallback")
-    assert told(made) is not None
+    assert written_drain(made) is not None
 
 
 def test_a_disruption_budget_of_the_user_replaces_that_of_the_operator() -> None:
@@ -253,6 +253,6 @@ def test_a_clock_that_is_set_back_does_not_prolong_the_hold_of_evictions() -> No
     made.build()
     made.now = NOW
     made.build()
-    assert (told(made) or Drain(uid="", node="", since=0, cordoned=[])).since == NOW
+    assert (written_drain(made) or Drain(uid="", node="", since=0, cordoned=[])).since == NOW
     made.now = NOW + 61
     assert (condition(made) or {})["reason"] == "HoldEnded"

@@ -25,7 +25,7 @@ class Older(MemoryClient):
     def __init__(self, item: Object) -> None:
         super().__init__()
         self.item = item
-        self.told: list[Object] = []
+        self.statuses: list[Object] = []
 
     async def request(self, method: str, path: str, *, body: Any = None, **_: Any) -> Any:
         if not path.endswith("/status"):
@@ -33,7 +33,7 @@ class Older(MemoryClient):
         if "observedGeneration" in body["status"]:
             message = "failed to create typed patch object (fleet/policy): .status.observedGeneration: field not declared in schema"
             raise ApiError(500, "InternalError", message)
-        self.told.append(body["status"])
+        self.statuses.append(body["status"])
         return {**self.item, "status": body["status"]}
 
 
@@ -49,6 +49,6 @@ async def test_known_status_fields_are_written_and_missing_ones_are_logged_once(
     )  # fmt: skip
     for _ in range(2):
         await reconciler.reconcile(Key("failurepolicies", item["metadata"]["namespace"], "policy"))
-    assert [one["type"] for one in client.told[-1]["conditions"]] == ["Accepted"]
+    assert [one["type"] for one in client.statuses[-1]["conditions"]] == ["Accepted"]
     (warning,) = (record.message for record in caplog.records if "is older than this operator" in record.message)
     assert "lacks .status.observedGeneration" in warning

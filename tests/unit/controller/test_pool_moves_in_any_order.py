@@ -30,7 +30,7 @@ class Cluster:
         self._hash = present(self.pool)
         self.pods: dict[str, Object] = {}
         self.leaving: set[str] = set()
-        self._seen: deque[list[Object]] = deque([[]], maxlen=4)
+        self._observed: deque[list[Object]] = deque([[]], maxlen=4)
         self.now = 0.0
         self._expectations = Expectations(clock=lambda: self.now)
         self._known: set[str] = set()
@@ -38,7 +38,7 @@ class Cluster:
 
     def operate(self) -> None:
         """One look at some earlier state, with the nodes as they are; what was asked for and not seen counts."""
-        view = self.draw.choice(self._seen)
+        view = self.draw.choice(self._observed)
         self._known |= {kube_objects.name(pod) for pod in view}
         # A store doesn't go back: what it knows to be gone, or to be there, stays so.
         view = [pod for pod in view if kube_objects.name(pod) in self.pods]
@@ -56,7 +56,7 @@ class Cluster:
             self._expectations.expect(KEY, "spare", name)
         for name in deleted(plan):
             self.pods.pop(name, None)
-        self._seen.append(list(self.pods.values()))
+        self._observed.append(list(self.pods.values()))
 
     def happen(self) -> None:
         """Something goes on in the cluster."""
@@ -69,7 +69,7 @@ class Cluster:
                 self.pods.pop(self.draw.choice(sorted(self.pods)))
             case _:
                 self.become_ready()
-        self._seen.append(list(self.pods.values()))
+        self._observed.append(list(self.pods.values()))
 
     def become_ready(self) -> None:
         for name, pod in self.pods.items():

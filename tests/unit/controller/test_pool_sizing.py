@@ -52,7 +52,7 @@ def robot(name: str = "w", *recoveries: Object, age: float = 10 * HOUR, count: i
     return found
 
 
-def seen(*asking: Object, history: float = 24 * HOUR) -> RobotHistory:
+def history_of(*asking: Object, history: float = 24 * HOUR) -> RobotHistory:
     return pool_size.seen("spare", asking, NOW - history, NOW)
 
 
@@ -66,20 +66,20 @@ def kept(size: int, *, since: float = NOW) -> Object:
     return {"sizing": {"size": size, "lastChange": stamp(since), **rest}}
 
 
-def told(pool: Object, *asking: Object, now: float = NOW) -> Object:
+def with_status(pool: Object, *asking: Object, now: float = NOW) -> Object:
     """The pool as its next status makes it."""
     return pool | {"status": status(observed(pool, *asking, now=now))}
 
 
 class TestHistory:
     def test_robots_that_never_failed_are_observed_from_their_creation(self) -> None:
-        assert seen(robot("a", age=2 * HOUR), robot("b", age=4 * HOUR)) == RobotHistory(2, 0, pytest.approx(6.0))
+        assert history_of(robot("a", age=2 * HOUR), robot("b", age=4 * HOUR)) == RobotHistory(2, 0, pytest.approx(6.0))
 
     def test_a_failure_that_took_a_pod_of_the_pool_counts(self) -> None:
-        assert seen(robot("a", *failed(100, 200))).failures == 2
+        assert history_of(robot("a", *failed(100, 200))).failures == 2
 
     def test_a_failure_that_found_the_pool_empty_counts(self) -> None:
-        assert seen(robot("a", *failed(100, pod=""))).failures == 1
+        assert history_of(robot("a", *failed(100, pod=""))).failures == 1
 
     @pytest.mark.parametrize(
         "other",
@@ -91,19 +91,19 @@ class TestHistory:
         ],
     )
     def test_a_failure_that_used_another_strategy_or_pool_does_not_count(self, other: Any) -> None:
-        assert seen(robot("a", *failed(100, **other))).failures == 0
+        assert history_of(robot("a", *failed(100, **other))).failures == 0
 
     def test_failures_and_robot_hours_before_the_history_do_not_count(self) -> None:
-        found = seen(robot("a", *failed(100, 3 * HOUR)), history=2 * HOUR)
+        found = history_of(robot("a", *failed(100, 3 * HOUR)), history=2 * HOUR)
         assert found == RobotHistory(1, 1, pytest.approx(2.0))
 
     def test_if_a_status_lost_old_failures_only_the_time_it_covers_counts(self) -> None:
         ten = failed(*(360.0 * number for number in range(1, 11)))
-        assert seen(robot("a", *ten, count=40)) == RobotHistory(1, 9, pytest.approx(1.0))
-        assert seen(robot("a", *ten, count=10)) == RobotHistory(1, 10, pytest.approx(10.0))
+        assert history_of(robot("a", *ten, count=40)) == RobotHistory(1, 9, pytest.approx(1.0))
+        assert history_of(robot("a", *ten, count=10)) == RobotHistory(1, 10, pytest.approx(10.0))
 
     def test_a_failure_record_of_another_version_is_ignored(self) -> None:
-        assert seen(robot("a", {"id": "x", "result": "Recovered"})).failures == 0
+        assert history_of(robot("a", {"id": "x", "result": "Recovered"})).failures == 0
 
 
 class TestSize:
@@ -116,21 +116,21 @@ class TestSize:
 
     def test_a_pool_grows_at_once_when_robots_fail(self) -> None:
         quiet, before = [robot(f"w{n}") for n in range(10)], sized(failuresPerRobotHour=0.01)
-        before = told(before, *quiet)
+        before = with_status(before, *quiet)
         loud = [robot(f"w{n}", *failed(10, 20, 30, 40, 50, 60)) for n in range(10)]
-        after = told(before, *loud)
+        after = with_status(before, *loud)
         assert after["status"]["sizing"]["size"] > before["status"]["sizing"]["size"]
         assert after["status"]["sizing"]["failures"] == 60
 
     def test_a_pool_shrinks_late_and_one_by_one(self) -> None:
-        pool = told(sized(failuresPerRobotHour=30.0), robot("w", age=0))
+        pool = with_status(sized(failuresPerRobotHour=30.0), robot("w", age=0))
         size = pool["status"]["sizing"]["size"]
         assert size > 2
         calm = robot("w", age=-REST)
         for later, expected in ((REST - 1, size), (REST, size - 1), (2 * REST - 1, size - 1), (2 * REST, size - 2)):
             # The same robot, a day older: nothing of it has failed.
             calm["metadata"]["creationTimestamp"] = stamp(NOW - 24 * HOUR)
-            pool = told(pool, calm, now=NOW + later)
+            pool = with_status(pool, calm, now=NOW + later)
             assert pool["status"]["sizing"]["size"] == expected
 
     def test_a_smaller_size_deletes_one_pod(self) -> None:
@@ -158,7 +158,7 @@ class TestSize:
         assert plan(observed(pool)).again_after == pool_size.RECALCULATE_AFTER
 
     def test_an_invalid_spec_keeps_the_last_decision(self) -> None:
-        pool = told(sized(), robot("w"))
+        pool = with_status(sized(), robot("w"))
         before = pool["status"]["sizing"]
         pool["spec"]["sizing"]["max"] = -1
         assert status(observed(pool, robot("w")))["sizing"] == before
@@ -173,7 +173,7 @@ class TestSize:
 
     def test_a_pool_has_its_minimum_size_before_the_first_decision(self) -> None:
         assert pool_size.size(sized(min=2)) == 2
-        assert pool_size.size(told(sized(min=2, max=2), robot("w"))) == 2
+        assert pool_size.size(with_status(sized(min=2, max=2), robot("w"))) == 2
 
 
 class TestCondition:
@@ -206,7 +206,7 @@ class TestCondition:
         assert_golden("operator", found["message"], "7 pods", "spec.sizing.max is 3")
 
     def test_an_insufficient_maximum_is_reported_until_it_is_certainly_sufficient(self) -> None:
-        short = told(sized(max=3), *(robot(f"w{n}", age=0) for n in range(300)))
+        short = with_status(sized(max=3), *(robot(f"w{n}", age=0) for n in range(300)))
         fewer = [robot(f"w{n}", age=0) for n in range(20)]
         assert condition(observed(sized(max=3), *fewer), "Sized")["status"] == "True"
         assert condition(observed(short, *fewer), "Sized")["reason"] == "AtMaximum"
@@ -233,7 +233,7 @@ class TestCondition:
         assert writes < 120
 
     def test_a_change_of_size_is_reported_once(self) -> None:
-        pool = told(sized(), robot("w"))
+        pool = with_status(sized(), robot("w"))
         found = pool_size.sized(pool, pool_pods.evaluate(observed(pool), IMAGES).spec, [], NOW)  # type: ignore[arg-type]
         assert found is not None
         assert pool_size.change(found) is None
@@ -290,5 +290,5 @@ class TestDemand:
 def test_counting_a_thousand_robots_is_fast() -> None:
     fleet = [robot(f"w{n}", *failed(*range(60, 660, 60)), count=50) for n in range(1000)]
     started_at = time.process_time()
-    seen(*fleet)
+    history_of(*fleet)
     assert time.process_time() - started_at < 0.5

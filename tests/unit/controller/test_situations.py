@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.golden import assert_golden
-from tests.unit.controller.strategy_policies import auto, order, pools_of, told, warm
+from tests.unit.controller.strategy_policies import auto, order, pools_of, settings_of, warm
 from tests.unit.controller.world import (
     World,
     created,
@@ -95,7 +95,7 @@ def test_without_a_situation_the_strategies_of_the_policy_are_in_force() -> None
     made = world()
     plan = made.plan()
     assert order(plan) == ["warm", "spare", "Restart"]
-    assert told(plan).situation is None
+    assert settings_of(plan).situation is None
     assert pools_of(plan) == set()
     assert covered(made) == ("True", "NoSituation")
 
@@ -107,7 +107,7 @@ def test_a_situation_changes_only_its_standby_until_that_is_ready() -> None:
     assert pools_of(plan) == {"hot"}
     assert deleted(plan) == []
     assert order(plan) == ["warm", "spare", "Restart"], "what is there would be used, as ever"
-    assert [choice.name for choice in told(plan).pools] == ["warm", "spare", "hot"], "the monitor brings it up"
+    assert [choice.name for choice in settings_of(plan).pools] == ["warm", "spare", "hot"], "the monitor brings it up"
     assert covered(made) == ("False", "StandbyNotReady")
     assert_golden(
         "operator",
@@ -127,7 +127,7 @@ def test_the_former_standby_is_deleted_after_the_monitor_has_the_new_strategies(
     made.pods.append(standby(made, "w-hot", "hot"))
     plan = made.plan()
     assert order(plan) == ["hot", "spare", "Restart"]
-    assert told(plan).situation == "carrying"
+    assert settings_of(plan).situation == "carrying"
     assert deleted(plan) == [], "the monitor isn't told yet"
     made.build()
     assert deleted(made.plan()) == ["w-warm"]
@@ -141,7 +141,7 @@ def test_the_end_of_a_situation_restores_the_former_standby_before_the_other_is_
     enter(made, "carrying")
     made.pods = [made.pods[0], standby(made, "w-hot", "hot")]
     made.build()
-    assert told(made.plan()).situation == "carrying"
+    assert settings_of(made.plan()).situation == "carrying"
     enter(made, "")
     plan = made.build()
     assert pools_of(plan) == {"warm"}
@@ -218,7 +218,7 @@ def test_a_recovery_delays_the_strategies_of_a_situation() -> None:
     made.workload["status"] = saying("carrying", health="Recovering")
     plan = made.plan()
     assert order(plan) == ["warm", "spare", "Restart"]
-    assert told(plan).situation is None
+    assert settings_of(plan).situation is None
     assert deleted(plan) == []
 
 
@@ -234,7 +234,7 @@ def test_a_situation_changes_nothing_while_the_policy_is_invalid() -> None:
         enter(made, situation)
         plan = made.plan()
         assert order(plan) == ["hot", "spare", "Restart"]
-        assert told(plan).situation == "carrying"
+        assert settings_of(plan).situation == "carrying"
         assert deleted(plan) == []
 
 
@@ -260,7 +260,7 @@ def test_with_situations_the_own_pod_of_a_workload_does_not_replace_a_standby() 
         "until one of hot is ready beside the one that drives, one of warm is wanted"
     )
     assert patched(plan, "replicasets")["w"] == {"spec": {"replicas": 0}}
-    assert told(plan).situation is None, "the one that drives isn't its own standby"
+    assert settings_of(plan).situation is None, "the one that drives isn't its own standby"
 
 
 def test_the_requirements_of_a_situation_choose_strategies_again() -> None:
@@ -283,7 +283,7 @@ def test_the_requirements_of_a_situation_choose_strategies_again() -> None:
 def test_a_policy_without_situations_has_no_condition_about_them() -> None:
     made = world(policy("warm", "spare", "Restart"))
     made.workload["status"] = saying("carrying")
-    assert told(made.plan()).strategies is None
+    assert settings_of(made.plan()).strategies is None
     assert "SituationCovered" not in [one["type"] for one in made.status()["conditions"]]
     assert pools_of(made.plan()) == {"hot"}, "as ever, of each pool that serves it"
 
@@ -356,7 +356,7 @@ def test_no_sequence_of_situations_and_standbys_removes_protection(
         for pod in made.pods if kind == "ready" else ():
             if pod["metadata"]["labels"].get("understudy.dev/pool") == what:
                 pod["status"]["conditions"] = [{"type": "Ready", "status": "True"}]
-        before = _told_before(made)
+        before = _earlier_situations(made)
         assert made.condition("Protected")["status"] == "True"
         plan = made.build()
         gone = {name for name in deleted(plan) if name != "w-in-control"}
@@ -372,7 +372,7 @@ def test_no_sequence_of_situations_and_standbys_removes_protection(
         assert made.condition("Protected")["status"] == "True"
 
 
-def _told_before(made: World) -> list[str]:
+def _earlier_situations(made: World) -> list[str]:
     """The pools of the strategies that the monitor got last, and Restart."""
     text = made.owned[("configmaps", "w-settings")]["data"]["settings.json"]
     strategies = WorkloadSettings.model_validate_json(text).strategies or []

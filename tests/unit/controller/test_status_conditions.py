@@ -29,7 +29,7 @@ def test_a_condition_keeps_its_time_until_its_status_changes() -> None:
 
 
 class TestTransitions:
-    def told(self, before: list[tuple[str, str, str]], after: tuple[str, str, str]) -> int:
+    def event_count(self, before: list[tuple[str, str, str]], after: tuple[str, str, str]) -> int:
         def wire(found: tuple[str, str, str]) -> Object:
             return {"type": found[0], "status": found[1], "reason": found[2]}
 
@@ -37,20 +37,26 @@ class TestTransitions:
         return len(workload_status.transitions(live, {"conditions": [wire(after)]}))
 
     def test_a_start_that_is_not_finished_causes_no_event(self) -> None:
-        assert self.told([], ("Protected", "False", "MonitorNotReady")) == 0
-        assert self.told([("Protected", "False", "MonitorNotReady")], ("Protected", "False", "StandbyNotReady")) == 0
+        assert self.event_count([], ("Protected", "False", "MonitorNotReady")) == 0
+        assert (
+            self.event_count([("Protected", "False", "MonitorNotReady")], ("Protected", "False", "StandbyNotReady"))
+            == 0
+        )
 
     def test_an_improvement_that_is_not_finished_causes_no_event(self) -> None:
-        assert self.told([("Ready", "False", "NoMatchingWorkload")], ("Ready", "False", "PodsNotReady")) == 0
+        assert self.event_count([("Ready", "False", "NoMatchingWorkload")], ("Ready", "False", "PodsNotReady")) == 0
 
     def test_lost_protection_causes_an_event(self) -> None:
-        assert self.told([("Protected", "True", "FirstStrategyReady")], ("Protected", "False", "StandbyNotReady")) == 1
+        assert (
+            self.event_count([("Protected", "True", "FirstStrategyReady")], ("Protected", "False", "StandbyNotReady"))
+            == 1
+        )
 
     def test_a_dry_pool_causes_no_event_because_the_waiting_workloads_report_it(self) -> None:
-        assert self.told([("Available", "True", "Available")], ("Available", "False", "Dry")) == 0
+        assert self.event_count([("Available", "True", "Available")], ("Available", "False", "Dry")) == 0
 
     def test_invalid_input_causes_an_event_at_once(self) -> None:
-        assert self.told([], ("Accepted", "False", "PolicyNotFound")) == 1
+        assert self.event_count([], ("Accepted", "False", "PolicyNotFound")) == 1
 
     def test_an_unchanged_condition_causes_no_event(self) -> None:
-        assert self.told([("Accepted", "False", "PolicyNotFound")], ("Accepted", "False", "PolicyNotFound")) == 0
+        assert self.event_count([("Accepted", "False", "PolicyNotFound")], ("Accepted", "False", "PolicyNotFound")) == 0

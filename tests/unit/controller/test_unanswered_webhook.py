@@ -34,7 +34,7 @@ class Guarded(MemoryClient):
     def __init__(self, *stored: Object) -> None:
         super().__init__()
         self.stored = stored
-        self.told: list[Object] = []
+        self.written: list[Object] = []
         self.words = self._words()
 
     def _words(self) -> Iterator[str]:
@@ -48,13 +48,13 @@ class Guarded(MemoryClient):
     async def request(self, method: str, path: str, *, body: Any = None, **_: Any) -> Any:
         if not path.endswith("/status"):
             raise self.refuse()
-        self.told.append(body)
+        self.written.append(body)
         item = next(item for item in self.stored if item["metadata"]["name"] == body["metadata"]["name"])
-        metadata = {**item["metadata"], "resourceVersion": str(1000 + len(self.told))}
+        metadata = {**item["metadata"], "resourceVersion": str(1000 + len(self.written))}
         return {**item, "metadata": metadata, "status": body["status"]}
 
 
-class Heard(Recorder):
+class RecordedWarnings(Recorder):
     def __init__(self) -> None:
         self.warnings: list[tuple[str, str]] = []
 
@@ -65,7 +65,7 @@ class Heard(Recorder):
         self.warnings.append((reason, message))
 
 
-def reconciling_with(client: Guarded, notices: Heard) -> tuple[Reconciler, Store]:
+def reconciling_with(client: Guarded, notices: RecordedWarnings) -> tuple[Reconciler, Store]:
     """A reconciler that knows what is stored, and where it knows it from."""
     store, expectations = Store(), Expectations()
     for resource, found in (
@@ -84,7 +84,7 @@ def reconciling_with(client: Guarded, notices: Heard) -> tuple[Reconciler, Store
 @pytest.mark.parametrize("refused", ["all", "dry run"])
 async def test_an_unanswered_webhook_is_reported_once_and_the_request_is_retried(plural: str, refused: str) -> None:
     item, pool = world.workload(), world.spare()
-    client, notices = Guarded(item, pool), Heard()
+    client, notices = Guarded(item, pool), RecordedWarnings()
     if refused == "dry run":
         client.failing = lambda method, _: client.refuse() if method == "POST" else None
     reconciler, _ = reconciling_with(client, notices)
@@ -92,8 +92,8 @@ async def test_an_unanswered_webhook_is_reported_once_and_the_request_is_retried
     for _ in range(3):
         with pytest.raises(ApiError, match="failed calling webhook"):  # so it is tried again, later each time
             await reconciler.reconcile(key)
-    assert len(client.told) == 1, "what it fails by differs, and isn't news"
-    conditions = {one["type"]: one for one in client.told[0]["status"]["conditions"]}
+    assert len(client.written) == 1, "what it fails by differs, and isn't news"
+    conditions = {one["type"]: one for one in client.written[0]["status"]["conditions"]}
     assert (conditions["Reconciled"]["status"], conditions["Reconciled"]["reason"]) == ("False", "WebhookUnavailable")
     assert f'"{WEBHOOK}" does not answer' in conditions["Reconciled"]["message"]
     assert conditions["Accepted"]["status"] == "True", "that says nothing of its spec"
@@ -103,7 +103,7 @@ async def test_an_unanswered_webhook_is_reported_once_and_the_request_is_retried
 async def test_claims_during_a_webhook_failure_update_the_status_once_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
     pool = world.spare(replicas=3)
     client = Guarded(pool)
-    reconciler, store = reconciling_with(client, Heard())
+    reconciler, store = reconciling_with(client, RecordedWarnings())
     clock = MonotonicClock()
     monkeypatch.setattr(reconciling, "time", clock)
     key = Key("fallbackpools", world.NAMESPACE, "spare")
@@ -112,8 +112,8 @@ async def test_claims_during_a_webhook_failure_update_the_status_once_a_second(m
         with pytest.raises(ApiError, match="failed calling webhook"):
             await reconciler.reconcile(key)
         clock.now += 0.1
-    assert [body["status"]["replicas"] for body in client.told] == [1]
+    assert [body["status"]["replicas"] for body in client.written] == [1]
     clock.now += 1.0
     with pytest.raises(ApiError, match="failed calling webhook"):  # as each failure is tried again
         await reconciler.reconcile(key)
-    assert [body["status"]["replicas"] for body in client.told] == [1, 4]
+    assert [body["status"]["replicas"] for body in client.written] == [1, 4]

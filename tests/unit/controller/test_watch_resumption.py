@@ -19,7 +19,7 @@ BOOKMARK = "BOOKMARK"
 SURPRISING = "surprising"
 
 
-def told(kind: str, name: str, version: int) -> Event:
+def watch_event(kind: str, name: str, version: int) -> Event:
     item = pod(name)
     return kind, {**item, "metadata": {**item["metadata"], "resourceVersion": str(version)}}
 
@@ -29,7 +29,7 @@ class Scripted(Client):
 
     def __init__(self, *scripts: tuple[Sequence[Event], Exception | None]) -> None:
         self._scripts = iter(scripts)
-        self.begun: list[str] = []
+        self.started: list[str] = []
         self.asked: list[tuple[Resource, str | None, str | None]] = []
         self.over = asyncio.Event()
 
@@ -38,7 +38,7 @@ class Scripted(Client):
     ) -> AsyncIterator[Event]:
         self.asked.append((resource, namespace, labels))
         if resource == PODS:
-            self.begun.append(version)
+            self.started.append(version)
             script = next(self._scripts, None)
             if script is not None:
                 events, error = script
@@ -69,36 +69,36 @@ async def watched(client: Scripted, *namespaces: str) -> list[tuple[str, bool]]:
 
 
 async def test_a_watch_resumes_at_the_version_where_the_last_one_ended() -> None:
-    first = [told("ADDED", "a", 3), told(BOOKMARK, "", 7), told("DELETED", "a", 9)]
+    first = [watch_event("ADDED", "a", 3), watch_event(BOOKMARK, "", 7), watch_event("DELETED", "a", 9)]
     client = Scripted((first, None), ([], None))
     assert await watched(client) == [("a", False), ("a", True)]
-    assert client.begun == [watches.BEGINNING, "9", "9"]
+    assert client.started == [watches.BEGINNING, "9", "9"]
 
 
 async def test_a_watch_without_a_bookmark_starts_from_the_beginning() -> None:
     """Objects come in the order of their names, not of their versions."""
     client = Scripted(
-        ([told("ADDED", "a", 9), told("ADDED", "b", 3)], aiohttp.ClientPayloadError("broken")), ([], None)
+        ([watch_event("ADDED", "a", 9), watch_event("ADDED", "b", 3)], aiohttp.ClientPayloadError("broken")), ([], None)
     )
     await watched(client)
-    assert client.begun == [watches.BEGINNING] * 3
+    assert client.started == [watches.BEGINNING] * 3
 
 
 async def test_an_expired_version_starts_the_watch_from_the_beginning() -> None:
-    client = Scripted(([told(BOOKMARK, "", 7)], None), ([], Expired()))
+    client = Scripted(([watch_event(BOOKMARK, "", 7)], None), ([], Expired()))
     await watched(client)
-    assert client.begun == [watches.BEGINNING, "7", watches.BEGINNING]
+    assert client.started == [watches.BEGINNING, "7", watches.BEGINNING]
 
 
 @pytest.mark.parametrize("error", [aiohttp.ServerDisconnectedError(), TimeoutError(), OSError("down")])
 async def test_a_connection_error_does_not_end_the_watch(error: Exception) -> None:
-    client = Scripted(([told(BOOKMARK, "", 7)], error), ([told("ADDED", "b", 8)], None))
+    client = Scripted(([watch_event(BOOKMARK, "", 7)], error), ([watch_event("ADDED", "b", 8)], None))
     assert await watched(client) == [("b", False)]
-    assert client.begun == [watches.BEGINNING, "7", "8"]
+    assert client.started == [watches.BEGINNING, "7", "8"]
 
 
 async def test_an_object_that_causes_an_error_does_not_block_others() -> None:
-    client = Scripted(([told("ADDED", SURPRISING, 3), told("ADDED", "b", 4)], None))
+    client = Scripted(([watch_event("ADDED", SURPRISING, 3), watch_event("ADDED", "b", 4)], None))
     assert await watched(client) == [("b", False)]
 
 

@@ -39,14 +39,14 @@ async def test_a_workload_waits_behind_a_closed_gate_and_the_wait_is_not_verific
     fleet: list[Store] = []
     store = robot("a", fleet)
     running = asyncio.create_task(fails(store, wait_for=5.0))
-    await until(lambda: store.told)
-    assert store.told == ["1 of 1"]
+    await until(lambda: store.messages)
+    assert store.messages == ["1 of 1"]
     assert store.gate.closed, "an instance that failed doesn't drive while its workload waits"
     await asyncio.sleep(0.4)  # longer than it has to verify
     refill(fleet, "p1")
     done = await running
     assert (done.result, done.strategy) == ("Recovered", "Fallback/Uninitialized")
-    assert store.told == ["1 of 1", "served with p1"]
+    assert store.messages == ["1 of 1", "served with p1"]
     assert store.commits == ["", "", "p1"], "one write more than without waiting"
     assert waiter(store.gate.recovery.model_dump_json()) is None  # type: ignore[union-attr]
     assert done.moments["claimed"] - done.moments["queued"] >= 0.4
@@ -62,7 +62,7 @@ async def test_after_its_maximum_wait_a_workload_tries_the_next_strategy() -> No
         ("Restart", "Verified"),
     ]
     assert_golden("failover", done.attempts[0].message, "FallbackPool spare", "0.2 s")
-    assert store.told == ["1 of 1", "gave up"]
+    assert store.messages == ["1 of 1", "gave up"]
     assert done.waiting is None
     assert waiter(store.gate.recovery.model_dump_json()) is None  # type: ignore[union-attr]
 
@@ -70,7 +70,7 @@ async def test_after_its_maximum_wait_a_workload_tries_the_next_strategy() -> No
 async def test_a_pod_of_the_workload_controller_that_is_ready_first_ends_the_wait() -> None:
     store = robot("a", [])
     running = asyncio.create_task(fails(store, wait_for=60.0))
-    await until(lambda: store.told)
+    await until(lambda: store.messages)
     store.add("a-2", ready=False)
     await asyncio.sleep(0.4)
     assert not running.done(), "it doesn't drive yet"
@@ -89,7 +89,7 @@ async def test_each_pool_is_awaited_in_order() -> None:
     world = World(store)
     ladder = choices(UninitializedFallback("first", wait_for=0.1), UninitializedFallback(POOL, wait_for=5.0), Restart())
     running = asyncio.create_task(recover(failure(world, "a-1"), ladder, world.context()))
-    await until(lambda: len(store.told) == 3)
+    await until(lambda: len(store.messages) == 3)
     assert store.gate.recovery is not None
     assert store.gate.recovery.waiting is not None
     assert store.gate.recovery.waiting.pool == POOL
@@ -102,9 +102,9 @@ async def test_a_workload_of_higher_priority_is_served_first_although_it_came_la
     fleet: list[Store] = []
     low, high = robot("low", fleet), robot("high", fleet, priority=100)
     tasks = [asyncio.create_task(fails(low, 10.0))]
-    await until(lambda: low.told)
+    await until(lambda: low.messages)
     tasks.append(asyncio.create_task(fails(high, 10.0)))
-    await until(lambda: low.told[-1:] == ["2 of 2"])
+    await until(lambda: low.messages[-1:] == ["2 of 2"])
     refill(fleet, "p1")
     await until(lambda: "p1" in high.claims)
     refill(fleet, "p2")
@@ -119,7 +119,7 @@ async def test_two_simultaneous_pods_serve_two_workloads_at_once(monkeypatch: py
     fleet: list[Store] = []
     stores = [robot("low", fleet), robot("high", fleet, priority=100)]
     tasks = [asyncio.create_task(fails(store, 10.0)) for store in stores]
-    await until(lambda: all(store.told for store in stores))
+    await until(lambda: all(store.messages for store in stores))
     await asyncio.sleep(0.05)
     refill(fleet, "p1")
     refill(fleet, "p2")
@@ -136,7 +136,7 @@ async def test_a_waiting_workload_without_a_monitor_is_skipped(monkeypatch: pyte
     note.waiting = place("dead", priority=100, until=World(dead).clock() + 60)
     dead.gate = GateState(epoch=2, recovery=note)
     running = asyncio.create_task(fails(low, 10.0))
-    await until(lambda: low.told == ["2 of 2"])
+    await until(lambda: low.messages == ["2 of 2"])
     refill(fleet, "p1")
     started_at = asyncio.get_running_loop().time()
     done = await running
@@ -159,7 +159,7 @@ async def test_a_workload_that_does_not_wait_takes_a_pod_only_if_nobody_waits(
     assert not low.claims
     assert low.commits == [], "and its gate stays as it is meanwhile"
     assert (await running).strategy == "Fallback/Uninitialized"
-    assert low.told == [], "it never waited"
+    assert low.messages == [], "it never waited"
 
 
 async def test_a_planned_switchover_takes_no_pod_that_others_wait_for() -> None:
@@ -204,7 +204,7 @@ async def test_a_waiting_workload_takes_only_pods_beyond_the_reserve() -> None:
     world = World(store)
     ladder = choices(UninitializedFallback(POOL, wait_for=5.0, reserved=1))
     running = asyncio.create_task(recover(failure(world, "a-1"), ladder, world.context()))
-    await until(lambda: store.told)
+    await until(lambda: store.messages)
     assert (await fails(critical, 0.0)).result == "Recovered"
     assert list(critical.claims) == ["p1"]
     refill(fleet, "p2")
@@ -221,7 +221,7 @@ async def test_a_workload_that_loses_a_claim_returns_to_the_queue() -> None:
     store.others_claim.add("p1")
     refill(fleet, "p1")
     running = asyncio.create_task(fails(store, wait_for=5.0))
-    await until(lambda: store.told)
+    await until(lambda: store.messages)
     refill(fleet, "p2")
     done = await running
     assert list(store.claims) == ["p2"]

@@ -28,32 +28,32 @@ def every(period: float, start: float, end: float) -> list[float]:
 # -- noticing ------------------------------------------------------------------------------------------------------
 
 
-def seen(active: list[float], standby: list[float], now: float) -> tuple[float, float] | None:
+def detected(active: list[float], standby: list[float], now: float) -> tuple[float, float] | None:
     return switched(active, standby, deadline=DEADLINE, now=now)
 
 
 def test_a_standby_that_is_heard_after_the_deadline_drives() -> None:
-    assert seen(every(0.05, 1, 2), [2.13], 2.14) == (2.0, 2.13)
+    assert detected(every(0.05, 1, 2), [2.13], 2.14) == (2.0, 2.13)
 
 
 def test_while_the_active_instance_is_heard_no_standby_drives() -> None:
-    assert seen(every(0.05, 1, 2), [], 2.3) is None, "silence alone is the health tree's business"
-    assert seen(every(0.05, 1, 2), [0.9], 2.01) is None, "what was before its last output"
-    assert seen([*every(0.05, 1, 2), 2.14], [2.12], 2.2) is None, "it was late once and took the robot back"
+    assert detected(every(0.05, 1, 2), [], 2.3) is None, "silence alone is the health tree's business"
+    assert detected(every(0.05, 1, 2), [0.9], 2.01) is None, "what was before its last output"
+    assert detected([*every(0.05, 1, 2), 2.14], [2.12], 2.2) is None, "it was late once and took the robot back"
 
 
 def test_a_writer_that_left_gives_way_at_once_but_must_stay_silent() -> None:
-    assert seen(every(0.05, 1, 2), [2.02, 2.07], 2.08) is None
-    assert seen(every(0.05, 1, 2), [2.02, 2.07], 2.11) == (2.0, 2.02)
+    assert detected(every(0.05, 1, 2), [2.02, 2.07], 2.08) is None
+    assert detected(every(0.05, 1, 2), [2.02, 2.07], 2.11) == (2.0, 2.02)
 
 
 def test_a_standby_that_is_first_after_a_pause_drives_only_after_a_deadline() -> None:
-    assert seen(every(0.05, 1, 2), [9.0], 9.02) is None
-    assert seen(every(0.05, 1, 2), [9.0, 9.05], 9.11) == (2.0, 9.0)
+    assert detected(every(0.05, 1, 2), [9.0], 9.02) is None
+    assert detected(every(0.05, 1, 2), [9.0, 9.05], 9.11) == (2.0, 9.0)
 
 
 def test_no_standby_drives_before_the_active_instance_was_heard() -> None:
-    assert seen([], every(0.05, 5, 9), 9.01) is None, "a monitor that starts may discover the standby first"
+    assert detected([], every(0.05, 5, 9), 9.01) is None, "a monitor that starts may discover the standby first"
 
 
 def test_a_period_longer_than_the_deadline_is_reported() -> None:
@@ -79,7 +79,7 @@ def fallen_over() -> Store:
     return store
 
 
-def begun(world: World) -> Progress:
+def reflex_progress(world: World) -> Progress:
     now = world.clock()
     return reflex.begin(ReflexSwitch(W2, last=now - 0.13, first=now - 0.005), W1, DEADLINE)
 
@@ -92,7 +92,7 @@ async def carried_out(progress: Progress, world: World) -> Progress:
 
 async def test_a_takeover_is_committed_once_and_only_the_detection_counts() -> None:
     world = World(fallen_over())
-    done = await carried_out(begun(world), world)
+    done = await carried_out(reflex_progress(world), world)
     assert (done.result, done.strategy, done.epoch) == ("Recovered", "Fallback/Executing (reflex)", 2)
     assert world.store.commits == ["w-2"]
     beside = world.store.gate.recovery
@@ -117,7 +117,7 @@ async def test_a_slow_api_server_delays_only_the_commit() -> None:
         return await commit(*arguments)  # type: ignore[arg-type]
 
     context.gate.commit = late  # type: ignore[method-assign]
-    progress = begun(world)
+    progress = reflex_progress(world)
     await reflex.commit(progress, context)
     done = await recover(progress, [Choice(ReflexFallback(), 0.3), Choice(Restart(), 0.3)], context)
     assert (done.result, done.strategy) == ("Recovered", "Fallback/Executing (reflex)")
@@ -129,7 +129,7 @@ async def test_a_standby_that_stops_before_the_commit_is_replaced_by_the_next_st
     store.pods["w-2"] = replace(store.pods["w-2"], running=False)
     store.add("w-3", pool="hot")
     world = World(store)
-    done = await carried_out(begun(world), world)
+    done = await carried_out(reflex_progress(world), world)
     assert (done.result, done.strategy) == ("Recovered", "Fallback/Executing")
     assert done.target == PodIdentity(name="w-3", uid="uid-w-3")
     assert [attempt.result for attempt in done.attempts] == ["NotAvailable", "Verified"]
@@ -138,11 +138,11 @@ async def test_a_standby_that_stops_before_the_commit_is_replaced_by_the_next_st
 
 async def test_a_takeover_interrupted_at_any_step_is_finished_by_the_next_monitor() -> None:
     whole = World(fallen_over())
-    await carried_out(begun(whole), whole)
+    await carried_out(reflex_progress(whole), whole)
     for step in range(whole.effects):
         store = fallen_over()
         first = World(store, dies_after=step)
-        progress = begun(first)
+        progress = reflex_progress(first)
         with pytest.raises(Killed):
             await carried_out(progress.model_copy(deep=True), first)
         kept = store.gate.recovery or store.journal or progress

@@ -61,21 +61,21 @@ async def test_a_claimed_pod_receives_the_state_behind_the_closed_gate() -> None
     made = store(pool="spare", held=True)
     done = await recover(failure(world := World(made)), [Choice(UninitializedFallback("spare"), 0.5)], world.context())
     assert done.result == "Recovered"
-    assert made.given == {"w-2": made.kept}
+    assert made.kept_states == {"w-2": made.kept}
     assert recorded(done) == EXPECTED
 
 
 async def test_a_restarted_pod_receives_the_state() -> None:
     made = store()
     done = await recover(failure(world := World(made)), [Choice(Restart(), 0.5)], world.context())
-    assert (done.result, list(made.given)) == ("Recovered", ["w-new1"])
+    assert (done.result, list(made.kept_states)) == ("Recovered", ["w-new1"])
     assert recorded(done) == EXPECTED
 
 
 async def test_an_executing_standby_receives_no_state() -> None:
     made = store(pool="hot")
     done = await recover(failure(world := World(made)), [Choice(ExecutingFallback("hot"), 0.5)], world.context())
-    assert (done.result, made.given, done.state) == ("Recovered", {}, [])
+    assert (done.result, made.kept_states, done.state) == ("Recovered", {}, [])
 
 
 async def test_a_pod_without_an_agent_takes_over_and_is_recorded_without_restored_state() -> None:
@@ -87,7 +87,7 @@ async def test_a_pod_without_an_agent_takes_over_and_is_recorded_without_restore
     made.add("w-9", has_agent=False, created="9")
     made.pods.pop("w-1")
     done = await recover(progress, [Choice(Restart(), 0.5)], context)
-    assert (done.result, made.given) == ("Recovered", {})
+    assert (done.result, made.kept_states) == ("Recovered", {})
     assert [(entry.name, entry.restored) for entry in done.state] == [
         ("/plan", False),
         ("/amcl_pose", False),
@@ -114,7 +114,7 @@ async def test_a_second_attempt_records_the_state_of_its_own_instance() -> None:
     made.broken.add("w-2")
     choices = [Choice(UninitializedFallback("spare"), 0.3), Choice(Restart(), 0.5)]
     done = await recover(failure(world := World(made)), choices, world.context())
-    assert (done.result, list(made.given)) == ("Recovered", ["w-2", "w-new1"])
+    assert (done.result, list(made.kept_states)) == ("Recovered", ["w-2", "w-new1"])
     assert recorded(done) == EXPECTED
 
 
@@ -129,7 +129,7 @@ async def test_state_is_restored_although_the_monitor_is_killed_at_any_step() ->
             progress = unfinished.model_copy(deep=True) if unfinished is not None else failure(World(made))
             world = World(made)
             done = await recover(progress, [Choice(UninitializedFallback("spare"), 1.0)], world.context())
-            assert (done.result, made.given) == ("Recovered", {"w-2": made.kept}), f"killed at step {step}"
+            assert (done.result, made.kept_states) == ("Recovered", {"w-2": made.kept}), f"killed at step {step}"
             assert recorded(done) == EXPECTED, f"killed at step {step}"
         else:
             assert step > 8

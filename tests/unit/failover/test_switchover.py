@@ -91,7 +91,7 @@ async def test_the_gate_does_not_change_before_the_standby_can_drive(
 async def test_an_initialized_standby_is_brought_up_with_fresh_state_before_the_switch() -> None:
     store = driven(pool="warm")
     done = await switched(World(store), InitializedFallback("warm", recovery=BRING_UP))
-    assert store.given == {"w-2": store.kept}
+    assert store.kept_states == {"w-2": store.kept}
     assert store.brought_up == [("w-2", "bringUp")]
     assert [(entry.name, entry.restored) for entry in done.to_recovery(1).state] == [("/amcl_pose", True)]
 

@@ -55,7 +55,7 @@ class Store:
     """Whether the API server does not answer."""
     kept: KeptState = field(default_factory=KeptState)
     """What was kept of the instance that failed."""
-    given: dict[str, KeptState] = field(default_factory=dict)
+    kept_states: dict[str, KeptState] = field(default_factory=dict)
     """State by the name of the pod that was given it."""
     workload: str = "w"
     priority: int = 0
@@ -67,7 +67,7 @@ class Store:
     """Unclaimed pods (by name) that aren't in this workload's part of their pool."""
     stocked: set[str] = field(default_factory=set)
     """The shared pools that the operator says have a pod for it."""
-    told: list[str] = field(default_factory=list)
+    messages: list[str] = field(default_factory=list)
     """The messages to users about its wait for a pod."""
 
     def add(self, name: str, **values: object) -> Instance:
@@ -130,28 +130,28 @@ class _Part:
 class _Gate(_Part):
     def __init__(self, world: World) -> None:
         super().__init__(world)
-        self._seen = world.store.gate
+        self._cached_gate = world.store.gate
 
     @property
     def state(self) -> GateState:
-        return self._seen
+        return self._cached_gate
 
     async def commit(self, target: Instance | None, progress: Progress | None) -> GateState:
         self.world.effect()
         while self.store.away:
             await asyncio.sleep(PERIOD)
-        if self.store.gate.epoch != self._seen.epoch:
+        if self.store.gate.epoch != self._cached_gate.epoch:
             raise Superseded("another monitor was first")
         self.store.gate = GateState(
-            epoch=self._seen.epoch + 1,
+            epoch=self._cached_gate.epoch + 1,
             active=target.name if target else "",
             active_uid=target.uid if target else "",
             recovery=progress.model_copy(deep=True) if progress else None,
         )
         self.store.commits.append(target.name if target else "")
-        self._seen = self.store.gate
+        self._cached_gate = self.store.gate
         self.world.effect()
-        return self._seen
+        return self._cached_gate
 
     async def enforced(self, target: Instance, *, since: float) -> float:
         await asyncio.sleep(0.001)
@@ -239,14 +239,14 @@ class _Queue(_Part):
 
     def waits(self, me: Waiter, ahead: int, of: int) -> None:
         place = f"{ahead + 1} of {of}"
-        if self.store.told[-1:] != [place]:
-            self.store.told.append(place)
+        if self.store.messages[-1:] != [place]:
+            self.store.messages.append(place)
 
     def served(self, me: Waiter, pod: str) -> None:
-        self.store.told.append(f"served with {pod}")
+        self.store.messages.append(f"served with {pod}")
 
     def gave_up(self, me: Waiter) -> None:
-        self.store.told.append("gave up")
+        self.store.messages.append("gave up")
 
     async def changed(self, pool: str) -> None:
         await asyncio.sleep(PERIOD)
@@ -282,7 +282,7 @@ class _Agents(_Part):
     async def restore(self, instance: Instance, state: KeptState, within: float) -> RestoreReport:
         self.world.effect()
         self._assert_behind_the_gate(instance, "state was given")
-        self.store.given[instance.name] = state
+        self.store.kept_states[instance.name] = state
         self.world.effect()
         if self.store.refusal:
             return state.none_restored(self.store.refusal)

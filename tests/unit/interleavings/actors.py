@@ -242,7 +242,8 @@ class OperatorProcess:
         watched = [*kopf_handlers.WATCHED, *(resource for resource, labels in watches.WATCHED if labels is None)]
         work = [*map(self._watch, watched), self._operator.keep_listing()]
         tasks = [
-            asyncio.create_task(one) for one in (*work, running.lead(self._lease, self._operator), self._until_told())
+            asyncio.create_task(one)
+            for one in (*work, running.lead(self._lease, self._operator), self._until_notified())
         ]
         await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         ended = [task.exception() for task in tasks if task.done()]
@@ -255,7 +256,7 @@ class OperatorProcess:
                 raise error
         self._kill(self.process)
 
-    async def _until_told(self) -> None:
+    async def _until_notified(self) -> None:
         await self._told_to_end
 
     def end(self) -> None:

@@ -115,7 +115,7 @@ class Agent:
         if "<deadline>" in text:
             self.writer = Writer(self.pod, int(found[1]), self.phases() * PERIOD)
 
-    def seen(self) -> None:
+    def see_writers(self) -> None:
         """The agent sees the writers of the process that runs."""
         if self.process:
             self.strengths.saw([f"{self.pod[-8:]:>8}{self.process:04}".encode()])

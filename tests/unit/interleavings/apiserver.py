@@ -228,7 +228,7 @@ class ApiServer:
         return bisect_right(self.history[plural], version, key=lambda event: event.version)
 
 
-def told(event: Event, chosen: Callable[[Object], bool]) -> tuple[str, Object] | None:
+def watch_event(event: Event, chosen: Callable[[Object], bool]) -> tuple[str, Object] | None:
     """Returns the event of a watch for a write; None if the watch does not select the object."""
     was = event.old is not None and chosen(event.old)
     if event.new is not None and chosen(event.new):

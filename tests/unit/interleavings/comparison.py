@@ -14,7 +14,7 @@ from understudy.kube.client import Client, Object
 REPOSITORY = Path(__file__).parents[3]
 
 
-def told_alike(module: str, seed: int, others: range) -> str:
+def observed_alike(module: str, seed: int, others: range) -> str:
     """All that happens by a seed: the same in another process, where sets have another order, and whatever was run in it before."""
     text = f"from tests.unit.interleavings.{module} import run; {{before}}; print(run({seed}, tracing=True))"
     observations = {

@@ -12,7 +12,7 @@ from typing import Any
 import aiohttp
 
 from tests.support.answers import tabled
-from tests.unit.interleavings.apiserver import ApiServer, selecting, told
+from tests.unit.interleavings.apiserver import ApiServer, selecting, watch_event
 from tests.unit.interleavings.scheduling import Process, VirtualLoop
 from understudy.kube.client import TABLE, ApiError, Client, Expired, Object, Resource
 
@@ -238,5 +238,5 @@ class SimulatedClient(Client):
             while at < last:
                 event = history[at]
                 at += 1
-                if (found := told(event, chosen)) is not None:
+                if (found := watch_event(event, chosen)) is not None:
                     yield found

@@ -65,7 +65,7 @@ class Reader:
     ) -> None:
         """``later`` does something after so many seconds; ``changed`` is called when it takes another one than before."""
         self._deadline, self._clock, self._later, self._changed = deadline, clock, later, changed
-        self._heard: dict[str, Writer] = {}
+        self._received: dict[str, Writer] = {}
         self._spans: dict[str, list[Span]] = {}
         self._owner: Writer | None = None
 
@@ -106,18 +106,18 @@ class Reader:
 
     def hear(self, pod: str, writer: Writer | None, *, left: bool = False) -> None:
         """What comes from a pod: samples of this writer, or none. ``left``: the writer has said that it ends."""
-        before = self._heard.get(pod)
+        before = self._received.get(pod)
         if before is not writer:
             if before is not None:
                 self._ends(before)
             if writer is not None:
-                self._heard[pod] = writer
+                self._received[pod] = writer
                 self._await(writer)
         if left and self._owner is not None and self._owner.pod == pod and self._owner is not writer:
             self._give_up()
 
     def _ends(self, writer: Writer) -> None:
-        del self._heard[writer.pod]
+        del self._received[writer.pod]
         if (span := self._open(writer)) is not None:
             span.last = span.until(self._clock())
             self._later(span.last + self._deadline - self._clock(), self._missed, writer)
@@ -138,12 +138,12 @@ class Reader:
 
     def _give_up(self) -> None:
         self._owner = None
-        for writer in list(self._heard.values()):
+        for writer in list(self._received.values()):
             self._await(writer)
 
     def _sample(self, writer: Writer) -> None:
         owner = self._owner
-        if self._heard.get(writer.pod) is not writer or self._open(writer) is not None:
+        if self._received.get(writer.pod) is not writer or self._open(writer) is not None:
             return
         if owner is not None and owner is not writer and _rank(writer) < _rank(owner):
             return

@@ -84,7 +84,7 @@ class Reflexive(Simulation):
             folder=self._folder,
             reflex=Reflex(deadline=self.scene.reflex),
         )
-        made.told = self._told
+        made.agent_reported = self._agent_reported
         return made
 
     def _make_invariants(self) -> Invariants:
@@ -109,7 +109,7 @@ class Reflexive(Simulation):
         yield ownership_strength, "BEGIN", EPOCH - 3600.0
         yield prepare, "time", Clock(lambda: self.mine.prepared_at)
 
-    def _told(self, robot: str) -> None:
+    def _agent_reported(self, robot: str) -> None:
         for monitor in self.monitors:
             if monitor.workload == robot and monitor.process.alive:
                 self.loop.call_soon(monitor.wakeups.agent_reported, context=monitor.process.context)
@@ -142,7 +142,7 @@ class Reflexive(Simulation):
 
     def run(self) -> Outcome:
         outcome = super().run()
-        outcome.reflex = dict(self.mine.seen)
+        outcome.reflex = dict(self.mine.counts)
         return outcome
 
     def _look_at_robots(self) -> None:
@@ -236,7 +236,7 @@ class Reflexive(Simulation):
             self.mine.apart.discard(workload)
             self.network.cut_off -= processes
         self.mine.route(workload)
-        self._told(workload)
+        self._agent_reported(workload)
 
     def _robot_restarts(self) -> None:
         workload = self.choices.choice(self.workloads)

@@ -116,7 +116,7 @@ class ReflexInvariants(Invariants):
         taken = Progress.model_validate_json(record.recovery).taken_over
         if taken is None:
             return
-        self.robots.seen["fell over"] += taken.uid == record.active_uid
+        self.robots.counts["fell over"] += taken.uid == record.active_uid
         found = self.robots.running.get(taken.uid)
         if found is None or record.active_uid == taken.uid or not self._works(found) or self._leaves(taken.uid):
             return
@@ -127,7 +127,7 @@ class ReflexInvariants(Invariants):
     def _admitted(self, record: GateRecord) -> None:
         """A standby is let through: its process is weaker than the one in control, unless that one was restarted just now."""
         active, standby = (self.robots.agents.get(uid) for uid in (record.active_uid, record.admitted_uid))
-        self.robots.seen["let through"] += 1
+        self.robots.counts["let through"] += 1
         if active is None or standby is None or active.writer is None or standby.writer is None:
             return
         if active.process == 1 and standby.writer.strength >= active.writer.strength:
@@ -145,7 +145,7 @@ class ReflexInvariants(Invariants):
         if driver and driver != self.taken.get(robot):
             found = robots.running[driver]
             robots.noted(f"{robot} takes {found.name}")
-            robots.seen["taken"] += 1
+            robots.counts["taken"] += 1
         self.taken[robot] = driver
         if not driver:
             return

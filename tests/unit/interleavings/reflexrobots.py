@@ -74,9 +74,9 @@ class ReflexRobots(Robots):
     back_at: dict[str, float] = field(default_factory=dict)
     apart: set[str] = field(default_factory=set)
     """Workloads whose monitors reach nobody."""
-    told: Callable[[str], None] = lambda robot: None
+    agent_reported: Callable[[str], None] = lambda robot: None
     """Called when an agent of a robot's instances has something to say."""
-    seen: Counter[str] = field(default_factory=Counter)
+    counts: Counter[str] = field(default_factory=Counter)
     prepared_at: float = 0.0
     """When the pod that was prepared last was, by its node's clock."""
     _enforced: dict[tuple[str, str], tuple[str, ...]] = field(default_factory=dict)
@@ -96,7 +96,7 @@ class ReflexRobots(Robots):
                 self._prepare(found, at=found.up_at)
                 if found.sends:
                     self.agents[found.uid].begin()
-                    self.agents[found.uid].seen()
+                    self.agents[found.uid].see_writers()
         for robot in self.let_through:
             for node in NODES:
                 self._enforced[node, robot] = self.let_through[robot]
@@ -163,7 +163,7 @@ class ReflexRobots(Robots):
                 self.later(self.between(0.02, 0.4), work)
         self._reroute()
         for found in [r for r in self.running.values() if r.node == node]:
-            self.told(found.robot)
+            self.agent_reported(found.robot)
 
     def _reroute(self) -> None:
         for robot in sorted({found.robot for found in self.running.values() if found.robot}):
@@ -194,10 +194,10 @@ class ReflexRobots(Robots):
         """An agent holds its application, or lets it go."""
         found = self.running[uid]
         if self.agents[uid].holds:
-            self.seen["held"] += 1
+            self.counts["held"] += 1
         self.noted(f"pod {found.name}: {self.agents[uid].isolation.reason or 'goes on'}")
         self.route(found.robot)
-        self.told(found.robot)
+        self.agent_reported(found.robot)
 
     # -- nodes ------------------------------------------------------------------------------------------------------
 
@@ -265,14 +265,14 @@ class ReflexRobots(Robots):
                 self.later(0.5, self._send, uid)
                 return
             agent.begin()
-            self.later(self.between(0.05, 0.3), self._seen, uid, agent.process)
+            self.later(self.between(0.05, 0.3), self._see_writers, uid, agent.process)
         super()._send(uid)
 
-    def _seen(self, uid: str, process: int) -> None:
+    def _see_writers(self, uid: str, process: int) -> None:
         agent = self.agents[uid]
         if agent.process == process and not self.running[uid].ended:
-            agent.seen()
-            self.told(self.running[uid].robot)
+            agent.see_writers()
+            self.agent_reported(self.running[uid].robot)
 
     # -- what goes wrong --------------------------------------------------------------------------------------------
 
@@ -284,7 +284,7 @@ class ReflexRobots(Robots):
     def crash(self, uid: str) -> None:
         if (agent := self.agents.get(uid)) is not None:
             if agent.strengths.range is not None:
-                agent.seen()  # until now
+                agent.see_writers()  # until now
             agent.silent_since, agent.hangs = 0.0, False
         super().crash(uid)
 
@@ -304,7 +304,7 @@ class ReflexRobots(Robots):
             self.noted(f"pod {self.running[uid].name}: thaws")
             agent.hangs = False
             self.route(self.running[uid].robot)
-            self.told(self.running[uid].robot)
+            self.agent_reported(self.running[uid].robot)
 
     # -- what reaches the robots ------------------------------------------------------------------------------------
 

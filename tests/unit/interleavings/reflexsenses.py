@@ -90,7 +90,7 @@ class ReflexSidecars(AgentConnections):
 
     def __init__(self, *arguments: Any, **more: Any) -> None:
         super().__init__(*arguments, **more)
-        self._said: dict[str, tuple[AgentStatus, float]] = {}
+        self._statuses: dict[str, tuple[AgentStatus, float]] = {}
         self.believed: Callable[[str], bool] = lambda uid: False
         """Whether its monitor takes a pod for one that the gate names."""
         self.shut_out: Callable[[str], bool] = lambda uid: False
@@ -109,7 +109,7 @@ class ReflexSidecars(AgentConnections):
         found, status = self._found(instance), super().status(instance)
         if found is None:
             # A connection that says nothing is given up after a while.
-            state, at = self._said.get(instance.uid, (None, 0.0))
+            state, at = self._statuses.get(instance.uid, (None, 0.0))
             return state if robots.now - at < SILENCE else None
         if status is not None and agent is not None:
             # Only with the policy's gap is silence noticed.
@@ -117,7 +117,7 @@ class ReflexSidecars(AgentConnections):
             strength = agent.strengths.range if agent.process else None
             status = replace(status, ready=works and not agent.holds, strength=strength, cut_off=agent.isolation.since)
         if status is not None:
-            self._said[instance.uid] = (status, robots.now)
+            self._statuses[instance.uid] = (status, robots.now)
         return status
 
     def session(self, instance: Instance) -> tuple[int, int]:

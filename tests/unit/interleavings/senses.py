@@ -60,12 +60,12 @@ class HealthObserver:
 
     last_well = last_from
 
-    def _heard(self, since: float) -> float | None:
+    def _received_since(self, since: float) -> float | None:
         last = self.last_from(self._active)
         return last if last is not None and last >= since else None
 
     def verdict(self, *, now: float, since: float) -> Verdict:
-        last = self._heard(since)
+        last = self._received_since(since)
         if last is None:
             if now - since < GRACE:
                 return Verdict("Starting", "not heard yet", "topic", None)
@@ -75,7 +75,7 @@ class HealthObserver:
         return Verdict("Healthy", "", "", None)
 
     def deadline(self, *, now: float, since: float) -> float | None:
-        last = self._heard(since)
+        last = self._received_since(since)
         if last is None:
             return since + GRACE
         return last + GAP if last < now else None

@@ -46,7 +46,7 @@ class SimulatedCluster:
         self.robots = self._make_robots()
         if base is not None:
             self.robots.adopt(base.running, base.let_through)
-        self.robots.changed = self._heard
+        self.robots.changed = self._output_received
         self.invariants = self._make_invariants()
         self.server.changed = self._written
         self.network.noted = self.robots.noted = self.note
@@ -135,7 +135,7 @@ class SimulatedCluster:
             text = "gone" if new is None else "leaving" if "deletionTimestamp" in item["metadata"] else phase
             self.note(f"  pod {item['metadata']['name']} {text}, by {by}")
 
-    def _heard(self, robot: str) -> None:
+    def _output_received(self, robot: str) -> None:
         self.invariants.routed(robot)
         for monitor in self.monitors:
             if monitor.workload == robot and monitor.process.alive:

@@ -51,7 +51,7 @@ class Deleting(Simulation):
     causes = CAUSES
 
     def __init__(self, *arguments: Any, **more: Any) -> None:
-        self.seen: Counter[str] = Counter()
+        self.counts: Counter[str] = Counter()
         """How often a pool was deleted, with how many claimed pods, and how often its Secret changed."""
         self._number = 0
         super().__init__(*arguments, **more)
@@ -82,8 +82,8 @@ class Deleting(Simulation):
         if item is None:
             return
         self.note("the pool is deleted by somebody")
-        self.seen["deleted"] += 1
-        self.seen["claimed"] += len(self._commanded())
+        self.counts["deleted"] += 1
+        self.counts["claimed"] += len(self._commanded())
         self.server.write("fallbackpools", POOL, None, "somebody")
         for plural in COLLECTED:
             for place, found in sorted(self.server.items[plural].items()):
@@ -124,7 +124,7 @@ class Deleting(Simulation):
             place = (NAMESPACE, new["metadata"]["name"])
             self._collect(plural, place, new)
         if plural == "secrets" and (item := new or old) is not None and item["metadata"]["name"] == SECRET[1]:
-            self.seen["made" if old is None else "gone" if new is None else "changed"] += 1
+            self.counts["made" if old is None else "gone" if new is None else "changed"] += 1
             if old is not None and new is None:
                 for pod in self._commanded():
                     self._broken(f"{by} deletes the token of {pod['metadata']['name']}, which is claimed")
@@ -163,7 +163,7 @@ def run(seed: int, *, tracing: bool = False, scene: Scene | None = None) -> tupl
     with tempfile.TemporaryDirectory() as folder:
         made = Deleting(scene, seed, base, Path(folder), tracing=tracing)
         try:
-            return made.run(), made.seen
+            return made.run(), made.counts
         finally:
             made.dispose()
 

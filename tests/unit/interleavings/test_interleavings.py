@@ -14,7 +14,7 @@ from unittest import mock
 import pytest
 
 from tests.unit.interleavings import simulation
-from tests.unit.interleavings.comparison import told_alike, unconditional, without
+from tests.unit.interleavings.comparison import observed_alike, unconditional, without
 from tests.unit.interleavings.scenes import SCENES, Outcome, Scene
 from understudy.controller.reconcile.executor import Executor
 from understudy.controller.reconcile.expectations import Expectations
@@ -42,7 +42,7 @@ def test_the_invariants_hold_in_every_interleaving(first: int) -> None:
 
 
 def test_a_seed_determines_the_run() -> None:
-    assert "monitor" in told_alike("simulation", 100_003, range(6))
+    assert "monitor" in observed_alike("simulation", 100_003, range(6))
 
 
 # -- the simulation finds faults ------------------------------------------------------------------------------------

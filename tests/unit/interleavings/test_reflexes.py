@@ -14,7 +14,7 @@ from unittest import mock
 import pytest
 
 from tests.unit.interleavings import reflexes, simulation
-from tests.unit.interleavings.comparison import told_alike, unconditional
+from tests.unit.interleavings.comparison import observed_alike, unconditional
 from tests.unit.interleavings.ownership import PERIOD, Reader, Writer
 from tests.unit.interleavings.reflexes import SCENES, Reflexive
 from tests.unit.interleavings.scenes import Outcome, Scene
@@ -54,7 +54,7 @@ def test_the_reflex_invariants_hold_in_every_interleaving(first: int) -> None:
 
 
 def test_a_seed_determines_the_run() -> None:
-    assert "takes" in told_alike("reflexes", 1_100_003, range(1_000_000, 1_000_004))
+    assert "takes" in observed_alike("reflexes", 1_100_003, range(1_000_000, 1_000_004))
 
 
 # -- the reader is one with exclusive ownership ---------------------------------------------------------------------

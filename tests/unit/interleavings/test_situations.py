@@ -55,7 +55,7 @@ class Situated(Simulation):
     """A run in which robots begin to carry something, and end it."""
 
     def __init__(self, *arguments: Any, **more: Any) -> None:
-        self.seen: Counter[str] = Counter()
+        self.counts: Counter[str] = Counter()
         """The result: standbys that were created, released, and that took over."""
         super().__init__(*arguments, **more)
         self.busy: set[str] = set()
@@ -76,15 +76,15 @@ class Situated(Simulation):
         if plural == "networkpolicies" and old is not None and new is not None:
             found = self.robots.running.get(uid := GateRecord.of(new).active_uid)
             if found is not None and GateRecord.of(old).active_uid != uid:
-                self.seen["took over"] += (
+                self.counts["took over"] += (
                     _labels(self.server.get("pods", found.place) or {"metadata": {}}).get(names.POOL) == "hot"
                 )
         if plural != "pods" or _labels(new or old or {"metadata": {}}).get(names.POOL) != "hot":
             return
         if old is None:
-            self.seen["made"] += 1
+            self.counts["made"] += 1
         elif by.startswith("operator") and _living(old) and (new is None or not _living(new)):
-            self.seen["let go"] += 1
+            self.counts["let go"] += 1
             self._let_go(old, by)
 
     def _let_go(self, pod: Object, by: str) -> None:
@@ -113,7 +113,7 @@ def run(seed: int, *, tracing: bool = False) -> tuple[Outcome, Counter[str]]:
     with tempfile.TemporaryDirectory() as folder:
         made = Situated(SCENE, seed, base, Path(folder), tracing=tracing)
         try:
-            return made.run(), made.seen
+            return made.run(), made.counts
         finally:
             made.dispose()
 

@@ -24,7 +24,7 @@ FIRST, RUNS = 300_000, 36
 """Runs of one test."""
 
 
-class Asked(Simulation):
+class RequestedSwitchovers(Simulation):
     """A run in which somebody asks for switchovers, now and then while nothing else happens."""
 
     def __init__(self, *arguments: Any, **more: Any) -> None:
@@ -87,7 +87,7 @@ def run(seed: int, *, tracing: bool = False) -> tuple[Outcome, Counter[str]]:
     scene = SCENES[seed % len(SCENES)]
     base = simulation.prepared(scene)
     with tempfile.TemporaryDirectory() as folder:
-        made = Asked(scene, seed, base, Path(folder), tracing=tracing)
+        made = RequestedSwitchovers(scene, seed, base, Path(folder), tracing=tracing)
         try:
             return made.run(), made.switched
         finally:

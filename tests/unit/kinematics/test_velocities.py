@@ -14,7 +14,7 @@ from understudy.kinematics.velocities import Position, Velocities, Velocity
 SIGMA = 0.001, 0.002, 0.004
 
 
-def seen(stamp: float, x: float, y: float, heading: float, sigma: tuple[float, float, float] = SIGMA) -> Position:
+def position(stamp: float, x: float, y: float, heading: float, sigma: tuple[float, float, float] = SIGMA) -> Position:
     return Position(stamp, x, y, heading, (sigma[0] ** 2, sigma[1] ** 2, sigma[2] ** 2))
 
 
@@ -27,7 +27,7 @@ def driven(speed: float, turn: float, start: float = 0.0, count: int = 6, period
         chord = speed * t * (math.sin(turn * t / 2) / (turn * t / 2) if turn * t else 1.0)
         along = start + turn * t / 2
         poses.append(
-            seen(100.0 + t, chord * math.cos(along), chord * math.sin(along), math.remainder(heading, math.tau))
+            position(100.0 + t, chord * math.cos(along), chord * math.sin(along), math.remainder(heading, math.tau))
         )
     return poses
 
@@ -111,7 +111,7 @@ def test_a_clock_that_goes_back_starts_the_estimate_again():
 def test_any_stamps_give_finite_numbers_or_nothing(stamps: list[float], value: float):
     velocities = Velocities(0.5)
     for stamp in stamps:
-        found = velocities.add(seen(stamp, value, -value, value))
+        found = velocities.add(position(stamp, value, -value, value))
         if found is not None:
             assert all(map(math.isfinite, (found.forward, found.left, found.turn, found.turn_variance)))
             assert found.covariance[0][0] > 0

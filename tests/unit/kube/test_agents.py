@@ -49,7 +49,7 @@ async def say(writer, status=STATUS):
     await writer.drain()
 
 
-async def keep_saying(reader, writer):
+async def send_forever(reader, writer):
     while True:
         await say(writer)
         await asyncio.sleep(0.5)
@@ -58,7 +58,7 @@ async def keep_saying(reader, writer):
 @pytest.fixture
 async def agent():
     made = Agent()
-    made.follow = keep_saying
+    made.follow = send_forever
     await made.serve()
     yield made
     await made.close()
@@ -154,7 +154,7 @@ async def test_a_lost_connection_fails_pending_requests_at_once(agent, link):
     with pytest.raises(AgentGone):
         await link.start({"app": {"A": "1"}}, {})
     assert time.monotonic() - started_at < 0.5
-    agent.follow = keep_saying
+    agent.follow = send_forever
     await link.wait_connected(2)
     assert agent.sessions >= 2
 
@@ -214,7 +214,7 @@ async def test_invalid_data_ends_the_session_but_not_the_link(agent, link, data)
     async def talk(reader, writer):
         await say(writer)
         writer.write(data)
-        agent.follow = keep_saying
+        agent.follow = send_forever
         await asyncio.sleep(60)
 
     agent.follow = talk
@@ -228,7 +228,7 @@ async def test_an_answer_without_a_request_is_ignored(agent, link):
         await say(writer)
         for number in (99, "x", [], None):
             writer.write(wire.encode({"id": number, "ok": True}))
-        await keep_saying(reader, writer)
+        await send_forever(reader, writer)
 
     agent.follow = talk
     await link.wait_connected(2)

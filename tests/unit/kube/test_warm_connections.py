@@ -20,7 +20,7 @@ class Server:
     """Closes idle connections, as an API server does, and records the connection of each request for pods."""
 
     def __init__(self) -> None:
-        self.seen: set[object] = set()
+        self.connections: set[object] = set()
         self.asked: list[bool] = []
         """Whether each question for pods came by a connection that had been used before."""
         self.versions = 0
@@ -28,13 +28,13 @@ class Server:
         self.address = ""
 
     async def pods(self, request: web.Request) -> web.Response:
-        self.asked.append(request.transport in self.seen)
-        self.seen.add(request.transport)
+        self.asked.append(request.transport in self.connections)
+        self.connections.add(request.transport)
         await asyncio.sleep(0.05)
         return web.json_response({"metadata": {}, "items": []})
 
     async def version(self, request: web.Request) -> web.Response:
-        self.seen.add(request.transport)
+        self.connections.add(request.transport)
         self.versions += 1
         await asyncio.sleep(0.02)
         return web.json_response({"major": "1"}, status=self.status)

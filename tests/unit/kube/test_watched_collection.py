@@ -44,7 +44,7 @@ async def following(client: Scripted) -> AsyncIterator[Reflector]:
         await asyncio.gather(task, return_exceptions=True)
 
 
-async def told(client: Scripted, kind: str, item: Object) -> None:
+async def deliver(client: Scripted, kind: str, item: Object) -> None:
     client.events.put_nowait((kind, item))
     for _ in range(5):
         await asyncio.sleep(0)
@@ -60,10 +60,10 @@ async def test_a_late_watch_event_does_not_undo_our_own_write() -> None:
         await reflector.synced.wait()
         reflector.put(pod("a", 6))
         reflector.put(pod("a", 7))
-        await told(client, "MODIFIED", pod("a", 6))
+        await deliver(client, "MODIFIED", pod("a", 6))
         assert known(reflector) == {"a": "7"}
-        await told(client, "MODIFIED", pod("a", 7))
-        await told(client, "MODIFIED", pod("a", 8))
+        await deliver(client, "MODIFIED", pod("a", 7))
+        await deliver(client, "MODIFIED", pod("a", 8))
         assert known(reflector) == {"a": "8"}
 
 
@@ -71,7 +71,7 @@ async def test_a_late_answer_does_not_restore_a_deleted_object() -> None:
     client = Scripted(5, pod("a", 5))
     async with following(client) as reflector:
         await reflector.synced.wait()
-        await told(client, "DELETED", pod("a", 9))
+        await deliver(client, "DELETED", pod("a", 9))
         reflector.put(pod("a", 8))
         assert known(reflector) == {}
 
@@ -81,7 +81,7 @@ async def test_a_new_object_with_the_name_of_a_deleted_one_is_kept() -> None:
     async with following(client) as reflector:
         await reflector.synced.wait()
         reflector.put(pod("a", 10))
-        await told(client, "DELETED", pod("a", 9))
+        await deliver(client, "DELETED", pod("a", 9))
         assert known(reflector) == {"a": "10"}
 
 
@@ -103,7 +103,7 @@ async def test_a_bookmark_confirms_all_earlier_versions() -> None:
     client = Scripted(5)
     async with following(client) as reflector:
         await reflector.synced.wait()
-        await told(client, "BOOKMARK", pod("", 20))
+        await deliver(client, "BOOKMARK", pod("", 20))
         reflector.put(pod("a", 15))
         assert known(reflector) == {}
         reflector.put(pod("a", 21))

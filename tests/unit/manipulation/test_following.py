@@ -36,7 +36,7 @@ class Scene:
         self.followers = followers
         self.controller = Controller(HOME)
         self.steps: list[float] = []
-        self._told = deque([self._reference(0.0)] * late, maxlen=late)
+        self._delayed = deque([self._reference(0.0)] * late, maxlen=late)
         self._now = 0.0
         self._apart = apart
         # Mostly no two processes tick at exactly the same intervals.
@@ -49,7 +49,7 @@ class Scene:
         """Let time pass, with the commands of one of them getting through to the arm."""
         for _ in range(round(seconds / PERIOD)):
             self._now += PERIOD
-            target = self._told[0]
+            target = self._delayed[0]
             for number, follower in enumerate(self.followers):
                 if number in silent:
                     continue
@@ -60,12 +60,12 @@ class Scene:
                     self.steps.append(self.controller.stay(now=self._now))
                 elif number == through:
                     self.steps.append(self.controller.command(command.positions, command.velocities, now=self._now))
-            self._told.append(self._reference(self._now))
+            self._delayed.append(self._reference(self._now))
 
     @property
-    def told(self) -> Command:
+    def delayed_command(self) -> Command:
         """What the arm has said last."""
-        return self._told[-1]
+        return self._delayed[-1]
 
     @property
     def moved(self) -> float:
@@ -192,7 +192,7 @@ def test_a_takeover_at_any_time_with_any_path_causes_no_jump(seed: int) -> None:
             scene.run(PERIOD, through=through, silent=silent)
             for number, follower in enumerate(followers):
                 if follower.strayed and number not in silent and tick * PERIOD >= planning[number]:
-                    follower.replace(some_way(scene.told.positions, target, chance))
+                    follower.replace(some_way(scene.delayed_command.positions, target, chance))
                     planning[number] = tick * PERIOD + chance.uniform(0.05, 0.5)
 
     run(chance.uniform(0.3, 2.0), through=0)

@@ -85,7 +85,7 @@ class Monitor:
 
     async def recover(self, *steps: Instance | Exception | None, progress: Progress | None = None) -> Progress:
         """Carry a recovery out, which an error ends."""
-        recovery = progress or begun()
+        recovery = progress or started_recovery()
         options = Options(self.objects, self._context(), Does(steps))
         state_manager, current = self.senses.state_manager, self.senses.current
         recoveries = RecoveryRunner(self.view, options, state_manager, current, self.abandonment, self.notices)
@@ -114,7 +114,7 @@ class Monitor:
         """What a monitor that starts now would continue."""
         return interrupted_recovery.interrupted(self.journal, self.gate, self.notices.status, self.abandonment.ids)
 
-    def seen(self) -> UpstreamState:
+    def upstream_state(self) -> UpstreamState:
         """What those that depend on it make of its gate and of its status, once that says that it is well."""
         recovery = beside(GateRecord.of(self.policy).recovery)
         return UpstreamState.of(RobotWorkloadStatus(health="Healthy", recoveries=self.recoveries), recovery)
@@ -146,7 +146,7 @@ def monitor_of(client: MemoryClient, folder: Path) -> Monitor:
     return found
 
 
-def begun(failed: Instance = FAILED) -> Progress:
+def started_recovery(failed: Instance = FAILED) -> Progress:
     """A recovery that has begun."""
     pod = PodIdentity(name=failed.name, uid=failed.uid)
     return Progress.begin("it ended", last_healthy=1.0, detected=2.0, failed=[pod])

@@ -72,6 +72,6 @@ class World:
         return degraded
 
     @property
-    def said(self) -> tuple[str, str]:
+    def condition(self) -> tuple[str, str]:
         """Status and reason of the condition."""
         return self.notices.conditions["Degraded"][:2]

@@ -79,14 +79,14 @@ class Monitored:
 
     def __init__(self, folder: Path) -> None:
         self.observer, self.cluster = Recorded(), Cluster()
-        self.said = RecordedNotices(PublishedStatus(health="Healthy", active="a", gate=GateStatus(epoch=3)))
-        self.objects = ClusterObjects(workload="robot-1", client=self.cluster, notices=self.said)
+        self.notices = RecordedNotices(PublishedStatus(health="Healthy", active="a", gate=GateStatus(epoch=3)))
+        self.objects = ClusterObjects(workload="robot-1", client=self.cluster, notices=self.notices)
         self.view = self.objects.view
         self.objects.put_workload()
         self.objects.put_policy(policy(BOX))
         self.objects.put_pods(Instance("a", "1"))
         self.archive = RecordingArchive(folder)
-        self.box = BlackBox(self.view, self.observer, self.said, self.archive)
+        self.box = BlackBox(self.view, self.observer, self.notices, self.archive)
         self.publisher = self.observer.graph.node.create_publisher(Twist, "/cmd_vel", 10)
         self.sent: list[bytes] = []
         self.observer.follow(policy(BOX), parsed_spec())
@@ -124,16 +124,16 @@ class Monitored:
         progress = Progress.begin(
             "no /cmd_vel", last_healthy=now - 0.5, detected=now, failed=[PodIdentity(name="a", uid="1")], **more
         )
-        self.said.set(health="Failed")
+        self.notices.set(health="Failed")
         self.box.begin(progress)
         return progress
 
     def recovered(self, progress: Progress) -> None:
         progress.result, progress.strategy = "Recovered", "Restart"
         progress.moments["routed"] = time.time()
-        self.said.set(health="Healthy")
+        self.notices.set(health="Healthy")
         self.box.end(progress)
-        self.said.record(progress)
+        self.notices.record(progress)
 
     async def recorded(self, count: int = 1) -> None:
         end = time.monotonic() + 20

@@ -62,8 +62,8 @@ class GivenObserver(HealthObserver):
         self.times_asked = 0
         """How often the second one was asked for."""
         self.work: BusyReason | None = None
-        self.seen: dict[str, SituationState] = {}
-        self.heard_at: dict[str, float] = {}
+        self.situation_states: dict[str, SituationState] = {}
+        self.received_at: dict[str, float] = {}
         """When an output was last received from each pod."""
         self.received: dict[tuple[str, str], list[float]] = {}
         """When each topic was received from each pod, of late."""
@@ -93,16 +93,16 @@ class GivenObserver(HealthObserver):
         return self.work
 
     def situations(self, goals: Collection[str], *, now: float, since: float) -> dict[str, SituationState]:
-        return self.seen
+        return self.situation_states
 
     def deadline(self, *, now: float, since: float) -> float | None:
         return None
 
     def last_from(self, pod: str) -> float | None:
-        return self.heard_at.get(pod)
+        return self.received_at.get(pod)
 
     def last_well(self, pod: str) -> float | None:
-        return self.heard_at.get(pod)
+        return self.received_at.get(pod)
 
     def arrivals(self, topic: str, pod: str) -> Sequence[float]:
         return self.received.get((topic, pod), [])

@@ -39,12 +39,12 @@ class Agents:
     """What the agents answer, and what they were given."""
 
     def __init__(self) -> None:
-        self.given: list[tuple[str, KeptState]] = []
+        self.restored: list[tuple[str, KeptState]] = []
         self.refusal = ""
         self.answer: Mapping[str, Any] | None = None
 
     async def restore(self, instance: Instance, state: KeptState, within: float) -> RestoreReport:
-        self.given.append((instance.name, state))
+        self.restored.append((instance.name, state))
         if self.refusal:
             return state.none_restored(self.refusal)
         return RestoreReport(tuple(Restored(s.name, s.taken_at) for s in state.restored_samples))
@@ -59,8 +59,8 @@ class Monitor:
     """The loop of a monitor, as far as it is about state."""
 
     def __init__(self, graph: Graph, folder: Path) -> None:
-        self.agents, self.told = Agents(), RecordedNotices()
-        self.state_manager = StateManager(graph, StateStore(folder), self.agents, self.told)  # type: ignore[arg-type]
+        self.agents, self.notices = Agents(), RecordedNotices()
+        self.state_manager = StateManager(graph, StateStore(folder), self.agents, self.notices)  # type: ignore[arg-type]
         self.state, self.health, self.active = STATE, "Healthy", ACTIVE
         self.waiting: list[tuple[Instance, float]] = []
 

@@ -67,7 +67,7 @@ class Upstream:
         self.dependencies = dependencies or Dependencies(self.objects.view, self.notices, self.objects.wakeups)
         self.dependencies.follow(settings_of("planning", upstream=[{"name": "localization"}]))
 
-    async def seen(self, now: float = NOW) -> None:
+    async def take_in(self, now: float = NOW) -> None:
         """Wait until the last change was seen, and take it in."""
         async with asyncio.timeout(5):
             await self.objects.wakeups.evaluation.wait()
@@ -77,15 +77,15 @@ class Upstream:
     async def _status(self, status: Object, now: float) -> None:
         self.objects.wakeups.evaluation.clear()
         self.objects.client.store(WORKLOADS, NAMESPACE, {"metadata": {"name": "localization"}, "status": status})
-        await self.seen(now)
+        await self.take_in(now)
 
-    async def said(self, health: str, *recoveries: Progress, now: float = NOW, **status: Any) -> None:
+    async def report_health(self, health: str, *recoveries: Progress, now: float = NOW, **status: Any) -> None:
         """Localization's monitor says how it is."""
         statuses = [one.to_recovery(number) for number, one in enumerate(recoveries, 1)]
         found = RobotWorkloadStatus(health=health, recoveries=statuses[::-1], **status)  # type: ignore[arg-type]
         await self._status(found.to_wire(), now)
 
-    async def told(self, notices: Notices, now: float = NOW) -> None:
+    async def write_status(self, notices: Notices, now: float = NOW) -> None:
         """Localization's monitor writes its status."""
         await self._status(notices.status.to_wire(), now)
 
@@ -95,7 +95,7 @@ class Upstream:
         self.objects.wakeups.evaluation.clear()
         state = GateState(epoch=7, recovery=progress)
         self.objects.client.store(kind.resource, NAMESPACE, gate_object(kind, "localization", state))
-        await self.seen(now)
+        await self.take_in(now)
 
     def condition(self) -> tuple[str, str, str]:
         """What planning's status says of it."""

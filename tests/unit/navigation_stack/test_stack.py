@@ -49,7 +49,7 @@ def test_the_stack_becomes_active_and_reaches_replaces_and_cancels_goals(site: S
         assert site.wait(f"{node} is there", lambda node=node: person.state(node)) == "unconfigured"
     person.bring(site, "configure", "inactive")
     site.wait("somebody listens to /initialpose", lambda: person.localizable)
-    person.told_where(START.then(Pose(0.1, -0.1, 0.1)))
+    person.set_pose(START.then(Pose(0.1, -0.1, 0.1)))
     site.wait("it is heard while inactive", lambda: "told to be at" in site.output("navigation_stack"))
     assert not person.believed
     assert not person.heartbeats
@@ -105,7 +105,7 @@ def test_a_new_instance_is_not_localized_until_it_receives_the_pose(site: Site) 
     first = site.module("navigation_stack", NAVIGATION_AUTOSTART="1")
     person = site.person()
     site.wait("somebody listens to /initialpose", lambda: person.localizable)
-    person.told_where(START)
+    person.set_pose(START)
     site.wait("it is up", lambda: person.heartbeats > 0)
     site.wait("it knows where it is", lambda: person.off < 0.1)
     goal = near(START, 2.2)
@@ -127,7 +127,7 @@ def test_a_new_instance_is_not_localized_until_it_receives_the_pose(site: Site) 
     assert lost.status == ABORTED
     assert "it is not known where the robot is" in lost.result.error_msg
     assert not person.believed
-    person.told_where(START)
+    person.set_pose(START)
     site.wait("it believes to be at the start", lambda: len(person.believed) > 20)
     assert person.off > 0.4
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from tests.unit.dds import keep_to_itself
+from tests.unit.dds import isolate_discovery
 from tests.unit.ros.processes import PACKAGE, Processes
 
 SERVER = PACKAGE.parent / "docker" / "understudy-discovery-server"
@@ -21,7 +21,7 @@ SERVER = PACKAGE.parent / "docker" / "understudy-discovery-server"
 @pytest.fixture
 def dds(monkeypatch: pytest.MonkeyPatch) -> None:
     """The environment that all nodes of a test share."""
-    keep_to_itself(monkeypatch)
+    isolate_discovery(monkeypatch)
 
 
 @pytest.fixture

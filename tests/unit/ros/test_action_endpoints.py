@@ -95,7 +95,7 @@ class TestClient:
             # What a starved reader misses is lost, as with every client.
             assert steps
             assert steps == sorted(set(steps) & set(range(4 + i)))
-        assert {line["goal"] for line in server.said("executing")} == set(ids)
+        assert {line["goal"] for line in server.events_of("executing")} == set(ids)
 
     async def test_goals_can_be_cancelled_aborted_rejected_and_unknown(self, client, start):  # noqa: F811
         start("serve", ACTION)
@@ -155,11 +155,11 @@ class TestServer:
         server.answer_goal(first, True, stamp)
         server.answer_goal(second, True, stamp)
         server.publish_status([KnownGoal(goal, stamp, EXECUTING), KnownGoal(other, stamp, EXECUTING)])
-        await eventually(lambda: len(client.said("answered")) == 3)
-        assert client.said("answered", goal=rejected, accepted=False)
+        await eventually(lambda: len(client.events_of("answered")) == 3)
+        assert client.events_of("answered", goal=rejected, accepted=False)
         message = Fibonacci.Impl.FeedbackMessage(feedback=Fibonacci.Feedback(sequence=[42]))
         server.publish_feedback(renamed(serialize_message(message), other))
-        await eventually(lambda: client.said("feedback", index=1, step=42))
+        await eventually(lambda: client.events_of("feedback", index=1, step=42))
         await eventually(lambda: len(self.asked.results) == 2)
         client.tell("cancel 0")
         await eventually(lambda: self.asked.cancels)
@@ -167,12 +167,12 @@ class TestServer:
         assert asked.goal == goal
         server.answer_cancel(request, 0, [(goal, stamp)])
         server.publish_status([KnownGoal(goal, stamp, CANCELING)])
-        await eventually(lambda: client.said("canceling", index=0, code=0, goals=1))
+        await eventually(lambda: client.events_of("canceling", index=0, code=0, goals=1))
         requests = {goal: request for request, goal in self.asked.results}
         server.answer_result(requests[other], SUCCEEDED, result_of(1, 2, 3))
         server.answer_result(requests[goal], CANCELED, b"")
-        await eventually(lambda: client.said("ended", index=0, status=CANCELED, result=[]))
-        await eventually(lambda: client.said("ended", index=1, status=SUCCEEDED, result=[1, 2, 3]))
+        await eventually(lambda: client.events_of("ended", index=0, status=CANCELED, result=[]))
+        await eventually(lambda: client.events_of("ended", index=1, status=SUCCEEDED, result=[1, 2, 3]))
 
     async def test_a_restarted_server_answers_requests_of_its_predecessor(self, dds, served, start):  # noqa: F811
         """As after a restart: the participant that took the request is gone."""
@@ -193,5 +193,5 @@ class TestServer:
         after = ActionServer(served, ACTION, ActionType.of(TYPE), Recorded().asked)
         await after.open()
         after.answer_result(waiting, SUCCEEDED, result_of(8))
-        await eventually(lambda: client.said("ended", status=SUCCEEDED, result=[8]))
+        await eventually(lambda: client.events_of("ended", status=SUCCEEDED, result=[8]))
         await after.close()

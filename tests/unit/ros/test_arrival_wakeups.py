@@ -36,7 +36,7 @@ def watching(graph: Any, arrivals: ArrivalWakeups) -> Iterator[TopicWatch]:
     made.close()
 
 
-def told(arrivals: ArrivalWakeups, within: float) -> bool:
+def is_signalled(arrivals: ArrivalWakeups, within: float) -> bool:
     return bool(select.select([arrivals.descriptor], [], [], within)[0])
 
 
@@ -49,9 +49,9 @@ def test_an_arrival_is_signalled_at_once_and_no_message_is_lost(watching, arriva
     watching.follow([replace(CHAT, prompt=True)])
     processes.node("publish", "/chat", "20")
     for _ in range(5):
-        assert told(arrivals, 20)
+        assert is_signalled(arrivals, 20)
         arrivals.clear()
-        assert watching.drain() or told(arrivals, 20)  # what was cleared may have been looked at before
+        assert watching.drain() or is_signalled(arrivals, 20)  # what was cleared may have been looked at before
     received(watching, eventually, more=20)
     (source,) = watching.records("/chat").values()
     assert source.lost == 0
@@ -61,7 +61,7 @@ def test_messages_of_other_topics_are_not_signalled(watching, arrivals, processe
     watching.follow([replace(CHAT, prompt=True), replace(CHAT, name="/talk")])
     processes.node("publish", "/talk", "50")
     received(watching, eventually, "/talk")
-    assert not told(arrivals, 0.0)
+    assert not is_signalled(arrivals, 0.0)
 
 
 def test_wakeups_follow_the_tree(watching, arrivals, processes, eventually):
@@ -69,14 +69,14 @@ def test_wakeups_follow_the_tree(watching, arrivals, processes, eventually):
     processes.node("publish", "/chat", "50")
     received(watching, eventually)
     assert not arrivals.asked
-    assert not told(arrivals, 0.0)
+    assert not is_signalled(arrivals, 0.0)
     watching.follow([replace(CHAT, prompt=True)])
-    assert told(arrivals, 20)
+    assert is_signalled(arrivals, 20)
     watching.follow([CHAT])
     time.sleep(0.1)  # a call that is under way ends
     arrivals.clear()
     received(watching, eventually)
-    assert not told(arrivals, 0.0)
+    assert not is_signalled(arrivals, 0.0)
 
 
 def test_a_message_that_already_waits_is_signalled(watching, arrivals, processes, eventually):
@@ -87,7 +87,7 @@ def test_a_message_that_already_waits_is_signalled(watching, arrivals, processes
     publisher.kill()
     publisher.wait()
     watching.follow([replace(CHAT, prompt=True)])
-    assert told(arrivals, 20)
+    assert is_signalled(arrivals, 20)
 
 
 def test_a_removed_topic_is_no_longer_signalled(watching, arrivals, processes, eventually):
@@ -96,4 +96,4 @@ def test_a_removed_topic_is_no_longer_signalled(watching, arrivals, processes, e
     received(watching, eventually)
     watching.follow([replace(CHAT, name="/talk", prompt=True)])
     arrivals.clear()
-    assert not told(arrivals, 0.2)
+    assert not is_signalled(arrivals, 0.2)

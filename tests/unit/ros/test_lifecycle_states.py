@@ -137,7 +137,7 @@ async def activate(states: LifecycleStates) -> None:
 
 
 @dataclass
-class Told:
+class ReportedTransition:
     """A transition of the instance in control."""
 
     received: float
@@ -170,7 +170,7 @@ def test_answers_of_equally_named_nodes_in_several_pods_count_only_if_they_agree
         eventually(lambda: states.refresh() or states.problems)
         assert_golden("ros", states.problems, "/managed", "2 nodes", "active", "inactive")
         assert states.of(NODE).state is None
-        record.contents.append(Told(time.time(), "active"))
+        record.contents.append(ReportedTransition(time.time(), "active"))
         states.refresh()
         assert (states.of(NODE).state, states.problems) == ("active", [])
         before = states.of(NODE).received
@@ -191,14 +191,14 @@ def test_the_state_of_a_replacement_process_is_known_only_from_its_own_events(gr
     states = LifecycleStates(graph, lambda gid: True, lambda topic: record, alone=True)
     try:
         states.follow([NODE])
-        record.contents.append(Told(time.time(), "active"))
+        record.contents.append(ReportedTransition(time.time(), "active"))
         states.refresh()
         states.refresh()
         assert states.of(NODE).state == "active"
         servers[:] = [replace(node, gid=b"b" * 16)]
         states.refresh()
         assert states.of(NODE) is None
-        record.contents.append(Told(time.time(), "inactive"))
+        record.contents.append(ReportedTransition(time.time(), "inactive"))
         servers[:] = [replace(node, gid=b"c" * 16)]
         states.refresh()
         assert states.of(NODE).state == "inactive", "it was told by the new one"

@@ -25,7 +25,7 @@ def log(node: Any, line: str) -> None:
     node.stdin.flush()
 
 
-def heard(watching: TopicWatch) -> int:
+def log_count(watching: TopicWatch) -> int:
     record = watching.topic("/rosout")
     return record.count if record is not None else 0
 
@@ -39,15 +39,15 @@ def test_only_matching_log_messages_of_the_node_fail(watching, processes, eventu
     def log_lines(node: Any, *lines: str) -> None:
         """Have it log until each line has been heard: a subscription may be matched late."""
         for line in lines:
-            count = heard(watching)
+            count = log_count(watching)
             log(node, line)
 
             def again(line: str = line, count: int = count) -> bool:
                 states.add(judged.now().state)
-                if heard(watching) == count:
+                if log_count(watching) == count:
                     log(node, line)
                     time.sleep(0.1)
-                return heard(watching) > count
+                return log_count(watching) > count
 
             eventually(again)
 
@@ -74,7 +74,7 @@ def test_only_log_messages_of_the_instance_count(graph, processes, eventually):
             time.sleep(0.1)
             for one in judged:
                 one.now()
-            return all(heard(watching) for watching in watchings)
+            return all(log_count(watching) for watching in watchings)
 
         eventually(all_heard)
         assert [one.now().state for one in judged] == ["Failed", "Healthy", "Healthy"]
@@ -99,7 +99,7 @@ def test_log_messages_below_the_level_are_not_deserialized(watching, processes, 
     def some() -> bool:
         log(node, "warn no way out")
         time.sleep(0.05)
-        return judged.now().state == "Healthy" and heard(watching) > 3
+        return judged.now().state == "Healthy" and log_count(watching) > 3
 
     eventually(some)
     assert not read

@@ -30,7 +30,7 @@ class Driving:
         from geometry_msgs.msg import Twist, TwistStamped
         from nav_msgs.msg import Odometry
 
-        self.commanded = self.seen = 0.3
+        self.commanded = self.odometry_speed = 0.3
         self._over = threading.Event()
         type_ = TwistStamped if stamped else Twist
         self._commands = graph.node.create_publisher(type_, "/cmd_vel", 10)
@@ -44,7 +44,7 @@ class Driving:
             command, odometry = (type_() for type_ in self._types)
             twist = command.twist if hasattr(command, "twist") else command
             twist.linear.x = self.commanded
-            odometry.twist.twist.linear.x = self.seen
+            odometry.twist.twist.linear.x = self.odometry_speed
             odometry.twist.covariance = [1e-6 if index % 7 == 0 else 0.0 for index in range(36)]
             self._commands.publish(command)
             self._odometry.publish(odometry)
@@ -71,7 +71,7 @@ def test_a_robot_that_stands_despite_a_command_is_detected(watching, driving, ev
         return str(leaf.reason("Healthy"))
 
     eventually(lambda: judged.now().state == "Healthy" and reason() == "the robot moves as /cmd_vel commands")
-    driving.seen = 0.0
+    driving.odometry_speed = 0.0
     eventually(lambda: judged.now().state == "Failed")
     assert_golden("ros", judged.now().reason, "/cmd_vel", "/seen", "0.00 m/s", "0.30 m/s")
     own = _OwnOutputs(watching, [], b"")

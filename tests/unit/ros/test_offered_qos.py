@@ -14,7 +14,7 @@ from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, qos_profil
 from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 from std_msgs.msg import String
 
-from tests.unit.dds import keep_to_itself
+from tests.unit.dds import isolate_discovery
 from understudy.ros.observe.offered_qos import offers
 from understudy.ros.runtime.graph_node import Graph
 
@@ -48,7 +48,7 @@ def test_a_topic_without_publishers_has_an_empty_list() -> None:
 
 
 def test_discovered_qos_is_written_as_rosbag2_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    keep_to_itself(monkeypatch)
+    isolate_discovery(monkeypatch)
     graph = Graph("looks")
     publisher = graph.node.create_publisher(String, "/said", LATCHED)
     end = time.monotonic() + 20

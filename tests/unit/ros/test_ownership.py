@@ -103,7 +103,7 @@ def until_from(robot: subprocess.Popen[str], pod: str, count: int = 20, within: 
         row = row + 1 if Processes.line(robot, within) == pod else 0
 
 
-def heard(robot: subprocess.Popen[str], count: int) -> set[str]:
+def senders(robot: subprocess.Popen[str], count: int) -> set[str]:
     """The senders of the next samples."""
     return {Processes.line(robot, 40) for _ in range(count)}
 
@@ -139,7 +139,7 @@ def test_a_robot_reader_switches_to_the_standby_and_never_returns_to_the_loser(
     until_from(robot, "fallback")
     fence(primary, True)
     first.send_signal(signal.SIGCONT)
-    assert heard(robot, 40) == {"fallback"}
+    assert senders(robot, 40) == {"fallback"}
 
     # Not fenced, the stronger one would: that's why there must be a commit.
     fence(primary, False)
@@ -150,4 +150,4 @@ def test_a_robot_reader_switches_to_the_standby_and_never_returns_to_the_loser(
     until_from(robot, "fallback")
     WriterStrengths(Path(strong).parent).give_way()
     processes.node("publish", "/chat", "20", inside=primary, FASTRTPS_DEFAULT_PROFILES_FILE=strong)
-    assert heard(robot, 60) == {"fallback"}
+    assert senders(robot, 60) == {"fallback"}

@@ -136,7 +136,7 @@ def test_a_missing_node_is_reported(watching, eventually):
 
 
 @dataclass
-class Told:
+class ReportedSpeed:
     """Returns what the active instance reports about a parameter."""
 
     received: float
@@ -167,7 +167,7 @@ def test_answers_of_equally_named_nodes_in_several_pods_count_only_if_they_agree
         assert parameters.of(label).value == "a", "both say the same"
         assert_golden("ros", parameters.problems, "/driver", "1.5", "2.5")
         assert not parameters.of(speed).is_known
-        record.contents.append(Told(time.time(), 1.75))
+        record.contents.append(ReportedSpeed(time.time(), 1.75))
         parameters.refresh()
         assert (parameters.of(speed).value, parameters.problems) == (1.75, [])
     finally:

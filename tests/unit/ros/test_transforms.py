@@ -47,7 +47,7 @@ def test_the_age_of_a_transform_is_measured_by_its_own_stamp(watching, processes
     tell(base, transforms=[transform("odom", "base_link")])
     eventually(lambda: judged.now().state == "Healthy")
     tell(arm, transforms=[transform("base_link", "shoulder", old)])
-    eventually(lambda: _told(watching, "shoulder"))
+    eventually(lambda: _is_published(watching, "shoulder"))
     assert judged.now().state == "Healthy", "another's stamp is no matter"
     tell(base, transforms=[transform("odom", "base_link", old)])
     eventually(lambda: judged.now().state == "Failed")
@@ -56,6 +56,6 @@ def test_the_age_of_a_transform_is_measured_by_its_own_stamp(watching, processes
     eventually(lambda: judged.now().state == "Healthy")
 
 
-def _told(watching: Any, child: str) -> bool:
+def _is_published(watching: Any, child: str) -> bool:
     watching.drain()
     return any(content.mentions(child) for content in watching.topic("/tf").contents)

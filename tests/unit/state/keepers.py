@@ -39,7 +39,7 @@ def healthy(keeper: Keeper, start: float, end: float, *, every: float = TICK) ->
         keeper.judge("Healthy", now)
 
 
-def given(keeper: Keeper, onset: float) -> float:
+def kept_at(keeper: Keeper, onset: float) -> float:
     (sample,) = keeper.select(onset).samples
     assert sample.data == repr(sample.taken_at).encode()
     return sample.taken_at

@@ -7,7 +7,7 @@ import json
 import pytest
 
 from tests.support.golden import assert_golden
-from tests.unit.state.keepers import MAP, POSE, START, TICK, TYPE, given, healthy, offer, reason, state, total
+from tests.unit.state.keepers import MAP, POSE, START, TICK, TYPE, healthy, kept_at, offer, reason, state, total
 from understudy.api.kinds.state_spec import State
 from understudy.state.state_capture import PATIENCE, SPREAD, Keeper, Key, Version
 
@@ -17,7 +17,7 @@ from understudy.state.state_capture import PATIENCE, SPREAD, Keeper, Key, Versio
 def test_the_newest_message_before_the_margin_is_given() -> None:
     keeper = Keeper(state(margin="500ms", period="200ms"))
     healthy(keeper, START, START + 10)
-    taken = given(keeper, START + 10)
+    taken = kept_at(keeper, START + 10)
     assert START + 10 - 0.5 - 0.2 - 2 * TICK <= taken <= START + 10 - 0.5
 
 
@@ -26,7 +26,7 @@ def test_a_message_within_the_margin_is_never_given(lag: float) -> None:
     keeper = Keeper(state(margin="500ms", period="200ms"))
     healthy(keeper, START, START + 60)
     onset = START + 60 - lag
-    taken = given(keeper, onset)
+    taken = kept_at(keeper, onset)
     assert taken <= onset - 0.5
     wanted = lag + 0.5
     assert onset - 0.5 - taken <= max(0.2, SPREAD * wanted) + 2 * TICK, "the chosen one is hardly older than asked for"
@@ -38,7 +38,7 @@ def test_messages_received_while_the_tree_failed_are_never_given() -> None:
     for i in range(40):
         offer(keeper, START + 5.05 + i * TICK)
         keeper.judge("Failed", START + 5.05 + i * TICK)
-    assert given(keeper, START + 7) <= START + 5
+    assert kept_at(keeper, START + 7) <= START + 5
     healthy(keeper, START + 7.05, START + 9)
     times = [version.taken_at for version in keeper.versions()[POSE]]
     assert not [time for time in times if START + 5 < time <= START + 7.05]
@@ -99,29 +99,29 @@ def test_the_last_message_of_a_burst_is_kept() -> None:
         offer(keeper, START + at)
         keeper.judge("Healthy", START + at)
     keeper.judge("Healthy", START + 30)
-    assert given(keeper, START + 30) == START + 1.1
+    assert kept_at(keeper, START + 30) == START + 1.1
 
 
 def test_a_new_active_instance_starts_without_messages_and_earlier_state_is_kept() -> None:
     keeper = Keeper(state())
     healthy(keeper, START, START + 5)
-    last = given(keeper, START + 5)
+    last = kept_at(keeper, START + 5)
     offer(keeper, START + 5.02)
     keeper.forget_offers()
     assert keeper.healthy_since is None
     keeper.judge("Healthy", START + 6)
-    assert given(keeper, START + 6.4) <= START + 5
-    assert given(keeper, START + 5) == last
+    assert kept_at(keeper, START + 6.4) <= START + 5
+    assert kept_at(keeper, START + 5) == last
 
 
 def test_a_second_failure_before_new_messages_count_gives_the_same_state() -> None:
     keeper = Keeper(state())
     healthy(keeper, START, START + 5)
-    first = given(keeper, START + 5)
+    first = kept_at(keeper, START + 5)
     keeper.forget_offers()
     healthy(keeper, START + 6, START + 6.3)
-    assert given(keeper, START + 6.3) <= START + 5
-    assert given(keeper, START + 5) == first
+    assert kept_at(keeper, START + 6.3) <= START + 5
+    assert kept_at(keeper, START + 5) == first
 
 
 # -- age --------------------------------------------------------------------------------------------------------------
@@ -130,7 +130,7 @@ def test_a_second_failure_before_new_messages_count_gives_the_same_state() -> No
 def test_a_message_older_than_max_age_is_reported_and_not_given() -> None:
     keeper = Keeper(State.model_validate({"keep": [{"topic": "/amcl_pose", "maxAge": "10s"}]}))
     healthy(keeper, START, START + 5)
-    assert given(keeper, START + 14) <= START + 5
+    assert kept_at(keeper, START + 14) <= START + 5
     assert_golden("kept_state", reason(keeper, START + 15.1), "10.1 s", "10s")
     keeper.judge("Healthy", START + 30)
     (entry,) = keeper.entries(START + 30)
@@ -145,7 +145,7 @@ def test_the_age_counts_at_the_begin_of_the_failure() -> None:
     healthy(keeper, START, START + 5)
     for i in range(100):
         keeper.judge("Failed", START + 5 + i)
-    assert given(keeper, START + 5) <= START + 4.5
+    assert kept_at(keeper, START + 5) <= START + 4.5
 
 
 def test_a_topic_without_messages_is_reported_after_some_healthy_time() -> None:
@@ -216,7 +216,7 @@ def test_parameters_and_lifecycle_states_are_given_as_they_were_at_the_time() ->
 def test_a_clock_step_changes_no_age(step: float) -> None:
     keeper = Keeper(state(margin="500ms"))
     healthy(keeper, START, START + 10)
-    before = given(keeper, START + 10)
+    before = kept_at(keeper, START + 10)
     keeper.shift(step)
     (sample,) = keeper.select(START + 10 + step).samples
     assert sample.taken_at == pytest.approx(before + step)
@@ -256,7 +256,7 @@ def test_a_changed_policy_keeps_the_topics_that_it_still_names() -> None:
     keeper = Keeper(state())
     healthy(keeper, START, START + 5)
     keeper.follow(State.model_validate({"keep": [{"topic": "/amcl_pose", "maxAge": "5m"}, {"topic": "/map"}]}))
-    assert given(keeper, START + 5) <= START + 4.5
+    assert kept_at(keeper, START + 5) <= START + 4.5
     assert set(keeper.keys) == {POSE, MAP}
     keeper.follow(State.model_validate({"keep": [{"topic": "/map"}]}))
     assert not keeper.versions()

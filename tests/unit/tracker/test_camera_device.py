@@ -24,7 +24,7 @@ import numpy as np
 import pytest
 
 from tests.support.golden import assert_golden
-from tests.unit.dds import keep_to_itself
+from tests.unit.dds import isolate_discovery
 from understudy.tracker import camera_device
 from understudy.tracker.camera_device import Footage, Frame, refused
 from understudy.tracker.configuration import ConfigurationError, Device, load
@@ -220,7 +220,7 @@ def test_a_mistake_about_the_camera_is_reported_with_its_field(camera: str, expe
 def test_the_tracker_reads_a_device_and_publishes_poses(
     filmed: tuple[Path, list[Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    keep_to_itself(monkeypatch)
+    isolate_discovery(monkeypatch)
     from nav_msgs.msg import Odometry
 
     from bench.tracker import CONFIGURATION

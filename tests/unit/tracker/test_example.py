@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.unit.dds import keep_to_itself
+from tests.unit.dds import isolate_discovery
 
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("rendering")]
 
@@ -59,7 +59,7 @@ class Running:
 
 @pytest.fixture
 def running(monkeypatch: pytest.MonkeyPatch) -> Iterator[Running]:
-    keep_to_itself(monkeypatch)
+    isolate_discovery(monkeypatch)
     found = Running()
     yield found
     found.end()

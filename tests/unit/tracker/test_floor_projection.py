@@ -27,7 +27,7 @@ def marker(**changes: Any) -> Marker:
     return Marker(**{"name": "robot", "id": 7, "size": 0.2, "height": 0.25, **changes})
 
 
-def seen(points: Any, view: View, calibration: Calibration) -> Any:
+def projected(points: Any, view: View, calibration: Calibration) -> Any:
     """Where a camera sees points of the world, in pixels."""
     turn = view.axes.T
     rotation, _ = cv2.Rodrigues(turn)
@@ -57,7 +57,7 @@ def test_the_pose_of_the_robot_is_exact(camera, dx, dy, heading, mounted):
     c, s = math.cos(heading), math.sin(heading)
     corners = square(0.2, x + c * mx - s * my, y + s * mx + c * my, 0.25, heading + turned)
     robot = marker(mounted=Mounting(x=mx, y=my, yaw=turned))
-    found = place(seen(corners, view, calibration), robot, calibration, view, 0.2)
+    found = place(projected(corners, view, calibration), robot, calibration, view, 0.2)
     assert (found.x, found.y) == pytest.approx((x, y), abs=0.002)
     assert math.remainder(found.heading - heading, math.tau) == pytest.approx(0.0, abs=0.01)
     np.testing.assert_allclose(found.covariance, found.covariance.T, atol=1e-12)
@@ -68,7 +68,7 @@ def test_the_pose_of_the_robot_is_exact(camera, dx, dy, heading, mounted):
 def test_the_reported_uncertainty_is_correct(camera: CameraPose):
     random, noise = np.random.default_rng(4), 0.3
     view, (x, y) = view_of(camera), before(camera)
-    corners = seen(square(0.2, x, y, 0.25, 0.5), view, PLAIN)
+    corners = projected(square(0.2, x, y, 0.25, 0.5), view, PLAIN)
     found = [place(corners + random.normal(0, noise, (4, 2)), marker(), PLAIN, view, noise) for _ in range(800)]
     spread = np.std([(one.x, one.y, one.heading) for one in found], axis=0)
     stated = np.sqrt(np.mean([np.diag(one.covariance) for one in found], axis=0))
@@ -77,8 +77,8 @@ def test_the_reported_uncertainty_is_correct(camera: CameraPose):
 
 def test_a_camera_that_looks_down_with_yaw_zero_shows_x_at_the_top():
     view = view_of(CameraPose(x=0, y=0, z=3, pitch=math.pi / 2))
-    ((left, _), (right, _)) = seen(np.array([[0.0, 0.5, 0.0], [0.0, -0.5, 0.0]]), view, PLAIN)
-    ((_, top),) = seen(np.array([[0.5, 0.0, 0.0]]), view, PLAIN)
+    ((left, _), (right, _)) = projected(np.array([[0.0, 0.5, 0.0], [0.0, -0.5, 0.0]]), view, PLAIN)
+    ((_, top),) = projected(np.array([[0.5, 0.0, 0.0]]), view, PLAIN)
     assert left < 319.5 < right
     assert top < 239.5
 
@@ -93,14 +93,14 @@ def test_a_camera_that_looks_down_with_yaw_zero_shows_x_at_the_top():
 )
 def test_inconsistent_corners_are_refused_with_the_likely_cause(changes: dict[str, Any], expected: str):
     view = view_of(DOWN)
-    corners = seen(square(0.2, 0.3, 0.1, 0.25, 0.5), view, PLAIN)
+    corners = projected(square(0.2, 0.3, 0.1, 0.25, 0.5), view, PLAIN)
     with pytest.raises(Misfit, match=expected):
         place(corners, marker(**changes), PLAIN, view, 0.2)
 
 
 def test_a_marker_seen_from_behind_is_ignored():
     view = view_of(DOWN)
-    corners = seen(square(0.2, 0.3, 0.1, 0.25, 0.5), view, PLAIN)
+    corners = projected(square(0.2, 0.3, 0.1, 0.25, 0.5), view, PLAIN)
     with pytest.raises(Misfit, match="from behind"):
         place(corners[::-1], marker(), PLAIN, view, 0.2)
 
@@ -116,7 +116,11 @@ def test_markers_on_the_floor_give_the_pose_of_the_camera(calibration: Calibrati
     pose = CameraPose(x=0.1, y=-0.2, z=2.8, roll=0.05, pitch=1.4, yaw=0.7)
     view, random = view_of(pose), np.random.default_rng(5)
     looked = [
-        (one, seen(square(one.size, one.x, one.y, one.z, one.yaw), view, calibration) + random.normal(0, 0.05, (4, 2)))
+        (
+            one,
+            projected(square(one.size, one.x, one.y, one.z, one.yaw), view, calibration)
+            + random.normal(0, 0.05, (4, 2)),
+        )
         for one in REFERENCES
     ]
     found = view_by(looked, calibration)
@@ -126,7 +130,7 @@ def test_markers_on_the_floor_give_the_pose_of_the_camera(calibration: Calibrati
 
 def test_reference_markers_at_wrong_positions_are_refused():
     view = view_of(DOWN)
-    looked = [(one, seen(square(one.size, one.x, one.y, one.z, one.yaw), view, PLAIN)) for one in REFERENCES]
+    looked = [(one, projected(square(one.size, one.x, one.y, one.z, one.yaw), view, PLAIN)) for one in REFERENCES]
     moved = [(looked[0][0].model_copy(update={"x": 0.4}), looked[0][1]), looked[1]]
     with pytest.raises(Misfit, match=r"one of them is not where camera\.references says"):
         view_by(moved, PLAIN)

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from tests.support.golden import assert_golden
-from tests.unit.dds import keep_to_itself
+from tests.unit.dds import isolate_discovery
 from understudy.tracker.configuration import load
 
 pytestmark = pytest.mark.ros
@@ -28,7 +28,7 @@ def made(more: str = "") -> Any:
 
 @pytest.fixture
 def tracker(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> Iterator[Any]:
-    keep_to_itself(monkeypatch)
+    isolate_discovery(monkeypatch)
     caplog.set_level(logging.WARNING)
     node = made()
     yield node
@@ -54,27 +54,29 @@ def info() -> Any:
     return message
 
 
-def said(caplog: pytest.LogCaptureFixture) -> list[str]:
+def messages(caplog: pytest.LogCaptureFixture) -> list[str]:
     return [record.getMessage() for record in caplog.records if record.name.startswith("understudy")]
 
 
 def test_each_problem_is_reported_once_and_later_images_are_used(tracker: Any, caplog: pytest.LogCaptureFixture):
     for _ in range(3):
         tracker.on_image(image())
-    assert_golden("tracker", said(caplog), "/camera/image_raw", "/camera/camera_info")
+    assert_golden("tracker", messages(caplog), "/camera/image_raw", "/camera/camera_info")
     caplog.clear()
     broken = info()
     broken.k = [0.0] * 9
     tracker.on_calibration(broken)
-    assert "the camera is not calibrated" in said(caplog)[0]
+    assert "the camera is not calibrated" in messages(caplog)[0]
     tracker.on_calibration(info())
     caplog.clear()
     tracker.on_image(image("16UC1"))
     tracker.on_image(image(width=32))
-    assert_golden("tracker", said(caplog), "/camera/image_raw", "'16UC1'", "32 x 48", "/camera/camera_info", "64 x 48")
+    assert_golden(
+        "tracker", messages(caplog), "/camera/image_raw", "'16UC1'", "32 x 48", "/camera/camera_info", "64 x 48"
+    )
     caplog.clear()
     tracker.on_image(image())
-    assert said(caplog) == []
+    assert messages(caplog) == []
 
 
 def test_images_without_a_stamp_use_the_present_time(tracker: Any, caplog: pytest.LogCaptureFixture):
@@ -82,7 +84,7 @@ def test_images_without_a_stamp_use_the_present_time(tracker: Any, caplog: pytes
     message = image()
     message.header.stamp.sec = 0
     tracker.on_image(message)
-    assert_golden("tracker", said(caplog), "/camera/image_raw")
+    assert_golden("tracker", messages(caplog), "/camera/image_raw")
 
 
 def test_calibrations_without_images_are_reported(tracker: Any, caplog: pytest.LogCaptureFixture):
@@ -91,19 +93,19 @@ def test_calibrations_without_images_are_reported(tracker: Any, caplog: pytest.L
     tracker.on_image(image())
     for _ in range(19):
         tracker.on_calibration(info())
-    assert said(caplog) == []
+    assert messages(caplog) == []
     tracker.on_calibration(info())
-    assert_golden("tracker", said(caplog), "/camera/camera_info", "/camera/image_raw", "camera.reliable")
+    assert_golden("tracker", messages(caplog), "/camera/camera_info", "/camera/image_raw", "camera.reliable")
 
 
 def test_a_publisher_with_incompatible_qos_is_reported_with_its_name(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ):
-    keep_to_itself(monkeypatch)
+    isolate_discovery(monkeypatch)
     node = made(", reliable: true")
     try:
         for _ in range(20):
             node.on_calibration(info())
     finally:
         node.close()
-    assert_golden("tracker", said(caplog)[-1], "camera.reliable")
+    assert_golden("tracker", messages(caplog)[-1], "camera.reliable")

@@ -15,7 +15,7 @@ from typing import Any
 import cv2
 import pytest
 
-from tests.unit.dds import keep_to_itself
+from tests.unit.dds import isolate_discovery
 
 OPERATOR = Path(__file__).parents[3] / "operator"
 SPEED = 0.3
@@ -24,7 +24,7 @@ BEGIN = 1_000
 
 @pytest.fixture
 def dds(monkeypatch: pytest.MonkeyPatch) -> None:
-    keep_to_itself(monkeypatch)
+    isolate_discovery(monkeypatch)
 
 
 @pytest.fixture

@@ -94,18 +94,18 @@ class Log:
 
 
 @dataclass
-class Heard:
+class ReceivedMessage:
     """A received message; what isn't one cannot be read."""
 
     received: float
-    said: object = None
+    content: object = None
     late: float | None = None
     way: float | None = None
 
     def message(self) -> object:
-        if isinstance(self.said, str):
-            raise Unreadable(self.said)
-        return self.said
+        if isinstance(self.content, str):
+            raise Unreadable(self.content)
+        return self.content
 
     def age(self) -> float | None:
         return self.late

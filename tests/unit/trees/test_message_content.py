@@ -2,7 +2,7 @@
 
 from tests.support.golden import assert_golden
 from tests.unit.trees.content_messages import age, during, levels, value
-from tests.unit.trees.messages import Battery, Heard
+from tests.unit.trees.messages import Battery, ReceivedMessage
 from tests.unit.trees.world import START, World
 from understudy.trees.core.health_tree import Verdict
 
@@ -82,7 +82,7 @@ def test_only_the_newest_message_of_an_evaluation_is_read_and_only_once():
     world = World({"parallel": [value(), {**value("percentage < 0.9"), "name": "full"}]}).battery(1.0, 0.5)
     reads = []
 
-    class Counted(Heard):
+    class Counted(ReceivedMessage):
         def message(self) -> object:
             reads.append(self.received - START)
             return Battery(percentage=0.5)

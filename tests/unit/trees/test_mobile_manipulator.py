@@ -45,7 +45,7 @@ class Robot:
     """By status topic, from when to when a goal is active."""
     until: float = 30.0
 
-    def heard(self, topic: str, after: float, until: float) -> list[float]:
+    def arrival_times(self, topic: str, after: float, until: float) -> list[float]:
         """When messages came in a time; those of base and arm come only while they work."""
         rate = RATES[topic]
         begin, end = self.silent.get(topic, (1.0, 0.0))
@@ -67,7 +67,7 @@ class Robot:
         for index in range(int(self.until * 10) + 1):
             time = index / 10
             for topic, record in records.items():
-                for moment in self.heard(topic, (index - 1) / 10, time):
+                for moment in self.arrival_times(topic, (index - 1) / 10, time):
                     record.add(START + moment)
             active = {status: START + begin for status, (begin, end) in self.tasks.items() if begin <= time < end}
             observations = RecordedObservations(records, active)

@@ -7,7 +7,7 @@ import asyncio
 import pytest
 
 from tests.support.golden import assert_golden
-from tests.unit.trees.messages import Battery, Heard
+from tests.unit.trees.messages import Battery, ReceivedMessage
 from tests.unit.trees.procedure_world import LONG, Instance
 from understudy.trees.core.observations import TopicRecord
 from understudy.trees.core.procedure_steps import ProcedureFailed
@@ -177,11 +177,11 @@ async def test_a_timeout_limits_its_node() -> None:
 
 
 async def test_a_leaf_knows_the_remaining_time() -> None:
-    class Asked(Instance):
+    class RecordingInstance(Instance):
         async def bring_to(self, node: str, state: str, within: float) -> None:
             self.within = within
 
-    instance = Asked()
+    instance = RecordingInstance()
     tree = procedure({"timeout": {"within": "10s", "do": {"set_lifecycle": {"node": "/amcl", "state": "active"}}}})
     await tree.run(instance, 1000)
     assert 5 < instance.within < 10
@@ -224,13 +224,13 @@ async def test_a_procedure_waits_for_a_value() -> None:
     with pytest.raises(TreeError, match=r"bringUp\.value\.holds: found 'percentage >'"):
         procedure({"value": {**leaf["value"], "holds": "percentage >"}})
     instance.record = TopicRecord(contents=1)
-    instance.record.contents.append(Heard(asyncio.get_running_loop().time(), Battery(percentage=0.4)))
+    instance.record.contents.append(ReceivedMessage(asyncio.get_running_loop().time(), Battery(percentage=0.4)))
     running = asyncio.create_task(procedure(leaf).run(instance, LONG))
     await asyncio.sleep(0.1)
     assert not running.done()
     with pytest.raises(ProcedureFailed, match=r"percentage > 0.5 of /scan has not held yet \(percentage was 0.4\)"):
         await load_check(leaf, path="check").run(instance, LONG)
-    instance.record.contents.append(Heard(asyncio.get_running_loop().time(), Battery(percentage=0.6)))
+    instance.record.contents.append(ReceivedMessage(asyncio.get_running_loop().time(), Battery(percentage=0.6)))
     await running
     await load_check(leaf, path="check").run(instance, LONG)
 

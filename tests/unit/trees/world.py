@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from tests.unit.trees.btcpp_texts import load_xml
-from tests.unit.trees.messages import Battery, Feedback, Heard, fields
+from tests.unit.trees.messages import Battery, Feedback, ReceivedMessage, fields
 from tests.unit.trees.osc_texts import load_osc
 from tests.unit.trees.scenarios import ScenarioWriter
 from understudy.trees.core.health_tree import SEVERITY, HealthTree, Verdict
@@ -59,7 +59,7 @@ class World:
     ) -> World:
         """A message that is ``late`` by its header's stamp, and ``way`` by when it was sent."""
         self.records[topic].add(START + time)
-        self.records[topic].contents.append(Heard(START + time, message, late, way))
+        self.records[topic].contents.append(ReceivedMessage(START + time, message, late, way))
         return self
 
     def look(self, topic: str, time: float, *nodes: str) -> World:

@@ -139,7 +139,7 @@ def test_instructions_of_a_waiting_plugin_are_shown(stand: FakeKubectl) -> None:
     with_plugin(stand, WAITS)
     with started(subprocess.DEVNULL) as running:
         assert read_until(running, b"ABC\n") == b"To sign in, enter the code ABC\n"
-        Path(stand.folder, "told.json.entered").touch()
+        Path(stand.folder, "settings.json.entered").touch()
         output, _ = running.communicate(timeout=60)
     assert (running.returncode, output[:5]) == (0, b"fleet")
 

@@ -19,18 +19,20 @@ from understudy.kube.client import Object
 STATUS = status_of(fleet.well())
 
 
-def seen(progress: Progress | None, *, status: RobotWorkloadStatus = STATUS, now: float = fleet.NOW) -> UnderWay | None:
+def in_progress(
+    progress: Progress | None, *, status: RobotWorkloadStatus = STATUS, now: float = fleet.NOW
+) -> UnderWay | None:
     return under_way(status, fleet.gate(fleet.well(), progress), now)
 
 
 def message(**changes: Any) -> str:
-    found = seen(fleet.under_way(**changes))
+    found = in_progress(fleet.under_way(**changes))
     assert found is not None
     return found.message
 
 
 def test_a_recovery_in_progress_has_its_occasion_start_and_strategy() -> None:
-    found = seen(fleet.under_way())
+    found = in_progress(fleet.under_way())
     assert found is not None
     assert (found.occasion, found.since, found.strategy) == ("FailureDetected", fleet.ago(1), "Fallback/Executing")
     assert_golden(
@@ -75,12 +77,12 @@ def test_a_failed_strategy_is_listed_once() -> None:
     ids=["in the status", "older than the last there", "over", "a switchover", "held"],
 )
 def test_a_finished_or_already_reported_recovery_is_ignored(changes: dict[str, Any]) -> None:
-    assert seen(fleet.under_way(**changes)) is None
+    assert in_progress(fleet.under_way(**changes)) is None
 
 
 def test_without_a_gate_or_a_readable_record_there_is_no_recovery() -> None:
     assert under_way(STATUS, None, fleet.NOW) is None
-    assert seen(None) is None
+    assert in_progress(None) is None
     unreadable: Object = fleet.gate(fleet.well(), None)
     unreadable["metadata"]["annotations"][names.RECOVERY] = "{"
     assert under_way(STATUS, unreadable, fleet.NOW) is None
@@ -90,15 +92,15 @@ def test_without_a_gate_or_a_readable_record_there_is_no_recovery() -> None:
 
 def test_a_recovery_that_the_status_omits_for_long_counts_as_abandoned() -> None:
     began = fleet.NOW - 1
-    assert seen(fleet.under_way(), now=began + LASTS - 0.1) is not None
-    assert seen(fleet.under_way(), now=began + LASTS) is None
+    assert in_progress(fleet.under_way(), now=began + LASTS - 0.1) is not None
+    assert in_progress(fleet.under_way(), now=began + LASTS) is None
 
 
 def test_a_recovery_that_the_status_confirms_has_no_time_limit() -> None:
     going_on = STATUS.model_copy(update={"health": "Recovering", "failing_since": fleet.ago(1.5)})
-    assert seen(fleet.under_way(), status=going_on, now=fleet.NOW + 600) is not None
+    assert in_progress(fleet.under_way(), status=going_on, now=fleet.NOW + 600) is not None
 
 
 def test_a_status_about_another_recovery_does_not_confirm_the_gate_record() -> None:
     another = STATUS.model_copy(update={"health": "Recovering", "failing_since": fleet.ago(-500)})
-    assert seen(fleet.under_way(), status=another, now=fleet.NOW + 600) is None, "that one has not committed yet"
+    assert in_progress(fleet.under_way(), status=another, now=fleet.NOW + 600) is None, "that one has not committed yet"

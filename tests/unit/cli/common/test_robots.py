@@ -7,13 +7,13 @@ from typing import Any
 import pytest
 
 from tests.support import fleet
-from tests.support.fleet import said
+from tests.support.fleet import condition
 from tests.support.golden import assert_golden
 from understudy.cli.common.errors import CommandError
 from understudy.cli.common.robots import UNWATCHED, pool, robot
 
 
-def told(*conditions: Any, **more: Any) -> list[tuple[str, str]]:
+def problems(*conditions: Any, **more: Any) -> list[tuple[str, str]]:
     name = "robot-1"
     found = robot(fleet.workload(name, status=fleet.status(name, "abcde", 1, *conditions, **more)))
     return [(problem.about, problem.reason) for problem in found.problems]
@@ -53,11 +53,11 @@ def test_one_cause_is_reported_once_and_protection_comes_first() -> None:
     found = robot(fleet.unprotected())
     assert [problem.type for problem in found.problems] == ["Protected"]
     assert found.problems[0].since is not None
-    both = [said("GateEnforced", "False", "NotEnforced"), said("Protected", "False", "PoolEmpty")]
-    assert told(*both) == [("not protected", "PoolEmpty"), ("gate not enforced", "NotEnforced")]
-    gate, read = (said(type_, "False", "ReaderWithoutProfile") for type_ in ("GateEnforced", "OutputsRead"))
-    assert told(gate, read) == [("gate not enforced", "ReaderWithoutProfile")]
-    assert told(said("GateEnforced", "False", "NotEnforced"), read) == [
+    both = [condition("GateEnforced", "False", "NotEnforced"), condition("Protected", "False", "PoolEmpty")]
+    assert problems(*both) == [("not protected", "PoolEmpty"), ("gate not enforced", "NotEnforced")]
+    gate, read = (condition(type_, "False", "ReaderWithoutProfile") for type_ in ("GateEnforced", "OutputsRead"))
+    assert problems(gate, read) == [("gate not enforced", "ReaderWithoutProfile")]
+    assert problems(condition("GateEnforced", "False", "NotEnforced"), read) == [
         ("gate not enforced", "NotEnforced"),
         ("outputs bypass the gate", "ReaderWithoutProfile"),
     ]
@@ -65,22 +65,24 @@ def test_one_cause_is_reported_once_and_protection_comes_first() -> None:
 
 
 def test_a_running_or_failed_recovery_is_a_problem() -> None:
-    assert told(said("Recovering", "True", "FailureDetected")) == [("recovering", "FailureDetected")]
-    assert told(said("Recovering", "False", "NothingVerified")) == [("not recovered", "NothingVerified")]
-    assert told(said("Recovering", "False", "HealthyAgain")) == []
+    assert problems(condition("Recovering", "True", "FailureDetected")) == [("recovering", "FailureDetected")]
+    assert problems(condition("Recovering", "False", "NothingVerified")) == [("not recovered", "NothingVerified")]
+    assert problems(condition("Recovering", "False", "HealthyAgain")) == []
 
 
 def test_an_expected_delay_is_not_a_problem() -> None:
-    assert told(said("GateEnforced", "Unknown", "Settling"), said("Degraded", "Unknown", "Starting")) == []
-    assert told(said("OutputsRead", "Unknown", "NobodyReads")) == []
+    assert (
+        problems(condition("GateEnforced", "Unknown", "Settling"), condition("Degraded", "Unknown", "Starting")) == []
+    )
+    assert problems(condition("OutputsRead", "Unknown", "NobodyReads")) == []
 
 
 def test_an_unknown_condition_is_reported_by_its_name() -> None:
-    assert told(said("Painted", "False", "NoPaint")) == [("Painted", "NoPaint")]
+    assert problems(condition("Painted", "False", "NoPaint")) == [("Painted", "NoPaint")]
 
 
 def test_an_unobserved_spec_is_reported_as_not_accepted() -> None:
-    assert told(observed_generation=fleet.GENERATION - 1) == [("not accepted", "NotSeen")]
+    assert problems(observed_generation=fleet.GENERATION - 1) == [("not accepted", "NotSeen")]
 
 
 def test_a_status_of_a_later_version_is_refused_with_a_cure() -> None:
@@ -112,7 +114,7 @@ def test_a_gate_without_news_changes_nothing() -> None:
 def test_a_recovery_in_both_gate_and_status_is_reported_once() -> None:
     name, began = "robot-17-navigation", fleet.NOW - 40
     since = {"health": "Recovering", "failing_since": fleet.ago(40.5)}
-    said_too = said("Recovering", "True", "FailureDetected", "no /cmd_vel for 500 ms", since=40)
+    said_too = condition("Recovering", "True", "FailureDetected", "no /cmd_vel for 500 ms", since=40)
     item = fleet.workload(name, status=fleet.status(name, "x8v2m", 41, said_too, **since))
     found = robot(item, fleet.gate(item, fleet.under_way(began=began, strategy="Restart"), active=""), fleet.NOW)
     (problem,) = found.problems
@@ -122,7 +124,7 @@ def test_a_recovery_in_both_gate_and_status_is_reported_once() -> None:
 
 def test_a_wait_for_a_pod_in_the_status_replaces_the_message_of_the_gate() -> None:
     name = "robot-17-navigation"
-    waits = said(
+    waits = condition(
         "Recovering", "True", "WaitingForPod", "since 14:02:11 UTC it waits, number 2 of 3 that wait", since=40
     )
     item = fleet.workload(name, status=fleet.status(name, "x8v2m", 41, waits, health="Recovering"))

@@ -27,9 +27,9 @@ GATE = names.gate(ROBOT)
 REASON = ["--reason", "it is in the wrong aisle", "--owner", "ann"]
 
 
-def heard(item: dict[str, Any]) -> dict[str, Any]:
+def confirmed(item: dict[str, Any]) -> dict[str, Any]:
     """The workload as its monitor leaves it once it has heard of the pause."""
-    condition = fleet.said("Paused", "True", "Maintenance", "Paused by ann: fenced: it is in the wrong aisle.")
+    condition = fleet.condition("Paused", "True", "Maintenance", "Paused by ann: fenced: it is in the wrong aisle.")
     item["status"]["conditions"] = [*item["status"]["conditions"], condition.to_wire()]
     return item
 
@@ -44,7 +44,7 @@ def quickly(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_fence_closes_the_gate_and_pauses_recovery(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
-    item = heard(fleet.well())
+    item = confirmed(fleet.well())
     stand.tell(fleet.around(item))
     before = GateRecord.of(stand.item(GATE))
     assert fence.main([ROBOT, *REASON, "--yes"]) == 0
@@ -64,7 +64,7 @@ def test_fence_closes_the_gate_and_pauses_recovery(stand: FakeKubectl, capsys: p
 
 
 def test_a_closed_gate_is_unchanged(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
-    stand.tell(fleet.around(heard(fleet.well())))
+    stand.tell(fleet.around(confirmed(fleet.well())))
     assert fence.main([ROBOT, *REASON, "--yes"]) == 0
     assert fence.main([ROBOT, *REASON, "--yes"]) == 0
     assert_golden("control", capsys.readouterr().out.splitlines()[2], "closed at epoch 42")
@@ -107,7 +107,7 @@ def test_without_confirmation_nothing_is_written(
     typed: str | None,
     words: str,
 ) -> None:
-    stand.tell(fleet.around(heard(fleet.well())))
+    stand.tell(fleet.around(confirmed(fleet.well())))
     monkeypatch.setattr("sys.stdin", io.StringIO() if typed is None else Terminal(typed))
     assert fence.main([ROBOT, *REASON]) == 2
     assert words in capsys.readouterr().err
@@ -115,7 +115,7 @@ def test_without_confirmation_nothing_is_written(
 
 
 def test_the_user_can_confirm_in_a_terminal(stand: FakeKubectl, monkeypatch: pytest.MonkeyPatch) -> None:
-    stand.tell(fleet.around(heard(fleet.well())))
+    stand.tell(fleet.around(confirmed(fleet.well())))
     monkeypatch.setattr("sys.stdin", Terminal("yes\n"))
     assert fence.main([ROBOT, *REASON]) == 0
 

@@ -258,7 +258,7 @@ def test_a_condition_about_gate_or_readers_is_reported_once(
     type_: str, status: Any, reason: str, expected: list[tuple[str, str, str]]
 ) -> None:
     item = fleet.workload(
-        "robot-1", status=fleet.status("robot-1", "x", 1, fleet.said(type_, status, reason, "It is."))
+        "robot-1", status=fleet.status("robot-1", "x", 1, fleet.condition(type_, status, reason, "It is."))
     )
     assert [(one.check, one.level, one.cure) for one in monitor_findings([item])] == expected
 

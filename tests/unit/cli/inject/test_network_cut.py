@@ -60,16 +60,16 @@ class Talk:
             with (folder / host).open("w") as file:
                 self._running[host] = subprocess.Popen([*command, sys.executable, "-c", TALK, *to], stdout=file)
 
-    def heard(self, sender: str, receiver: str, since: float, until: float = LATER) -> int:
+    def received(self, sender: str, receiver: str, since: float, until: float = LATER) -> int:
         """How much of what was sent between two moments was heard so far."""
         assert self._running[sender].poll() is None, f"{sender} couldn't send"
         lines = (self._folder / receiver).read_text().split("\n")[:-1]
         return sum(host == sender and since < sent < until for host, sent in map(json.loads, lines))
 
-    def wait_heard(self, since: float, ways: Sequence[tuple[str, str]] = BOTH_WAYS) -> None:
+    def wait_received(self, since: float, ways: Sequence[tuple[str, str]] = BOTH_WAYS) -> None:
         """Wait until something that was sent after a moment is heard each way."""
         end = time.monotonic() + 60
-        while missing := [way for way in ways if not self.heard(*way, since)]:
+        while missing := [way for way in ways if not self.received(*way, since)]:
             assert time.monotonic() < end, f"nothing is heard: {missing}"
             time.sleep(0.05)
 
@@ -82,7 +82,7 @@ class Talk:
 @pytest.fixture
 def talk(tmp_path: Path) -> Iterator[Talk]:
     with network() as lan, contextlib.closing(Talk(lan, tmp_path)) as made:
-        made.wait_heard(0)
+        made.wait_received(0)
         yield made
 
 
@@ -93,7 +93,7 @@ def program(pod: list[str], length: float, *networks: str, latest: float = LATER
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
 
 
-def told(running: subprocess.Popen[str], what: str) -> float:
+def reported_time(running: subprocess.Popen[str], what: str) -> float:
     """When it did what it says next."""
     assert running.stdout is not None, "it is a pipe"
     assert running.stderr is not None, "it is a pipe"
@@ -105,35 +105,35 @@ def told(running: subprocess.Popen[str], what: str) -> float:
 
 def test_existing_flows_are_cut_in_both_directions_and_restored_after_the_time(talk: Talk) -> None:
     with program(talk.pod, 1.5) as running:
-        cut, back = told(running, "cut"), told(running, "back")
+        cut, back = reported_time(running, "cut"), reported_time(running, "back")
     assert running.returncode == 0
     assert back - cut >= 1.5
-    talk.wait_heard(back)
-    assert not any(talk.heard(*way, cut, back - MARGIN) for way in BOTH_WAYS)
+    talk.wait_received(back)
+    assert not any(talk.received(*way, cut, back - MARGIN) for way in BOTH_WAYS)
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_the_network_is_restored_however_the_cut_ends(talk: Talk, number: signal.Signals) -> None:
     with program(talk.pod, 60) as running:
-        cut = told(running, "cut")
+        cut = reported_time(running, "cut")
         time.sleep(1)
         before = time.time()
         running.send_signal(number)
         running.wait(timeout=60)
         ended = time.time()
-    talk.wait_heard(ended)
-    assert not any(talk.heard(*way, cut, before - MARGIN) for way in BOTH_WAYS)
+    talk.wait_received(ended)
+    assert not any(talk.received(*way, cut, before - MARGIN) for way in BOTH_WAYS)
 
 
 def test_only_the_given_peers_are_unreachable(talk: Talk) -> None:
     with program(talk.pod, 60, f"{MONITOR}/32", "fd00::/8") as running:
-        cut = told(running, "cut")
+        cut = reported_time(running, "cut")
         time.sleep(1)
-        talk.wait_heard(cut, [(POD, ROBOT), (ROBOT, POD)])
+        talk.wait_received(cut, [(POD, ROBOT), (ROBOT, POD)])
         before = time.time()
         running.terminate()
-    talk.wait_heard(time.time())
-    assert not any(talk.heard(*way, cut, before - MARGIN) for way in BOTH_WAYS if MONITOR in way)
+    talk.wait_received(time.time())
+    assert not any(talk.received(*way, cut, before - MARGIN) for way in BOTH_WAYS if MONITOR in way)
 
 
 RECEIVE = """
@@ -166,7 +166,7 @@ def test_ipv6_addresses_are_cut_off_too() -> None:
         for host, address in ((pod, "fd91::1"), (robot, "fd91::2"), (monitor, "fd91::3")):
             subprocess.run([*host, *f"ip address add {address}/64 dev eth0 nodad".split()], check=True)
         with program(pod, 60, "fd91::3") as running:
-            told(running, "cut")
+            reported_time(running, "cut")
             assert arrives(pod, robot, "fd91::2")
             assert arrives(robot, pod, "fd91::1")
             assert not arrives(pod, monitor, "fd91::3")
@@ -177,15 +177,15 @@ def test_ipv6_addresses_are_cut_off_too() -> None:
 
 def test_two_simultaneous_cuts_end_independently(talk: Talk) -> None:
     with program(talk.pod, 60) as first, program(talk.pod, 60) as second:
-        told(first, "cut")
-        cut = told(second, "cut")
+        reported_time(first, "cut")
+        cut = reported_time(second, "cut")
         first.terminate()
         first.wait(timeout=60)
         time.sleep(1)
         before = time.time()
         second.terminate()
-    talk.wait_heard(time.time())
-    assert not any(talk.heard(*way, cut, before - MARGIN) for way in BOTH_WAYS)
+    talk.wait_received(time.time())
+    assert not any(talk.received(*way, cut, before - MARGIN) for way in BOTH_WAYS)
 
 
 LOOP = """
@@ -203,7 +203,7 @@ def test_traffic_within_the_pod_is_not_cut(address: str) -> None:
     with network() as lan:
         pod = lan.host(POD)
         with program(pod, 60) as running:
-            told(running, "cut")
+            reported_time(running, "cut")
             done = subprocess.run([*pod, sys.executable, "-c", LOOP, address], timeout=60, check=False)
             running.terminate()
     assert done.returncode == 0

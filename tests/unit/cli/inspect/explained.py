@@ -31,7 +31,7 @@ def known(item: Object, items: list[Object] | None = None, *events: Object) -> F
     return Facts.of(WorkloadObjects(dataclasses.replace(observed, now=fleet.NOW), events, others, gates))
 
 
-def told(found: Facts, columns: int | None = None) -> dict[str, list[str]]:
+def explained_lines(found: Facts, columns: int | None = None) -> dict[str, list[str]]:
     """The lines by their heading, those above all under none."""
     sections: dict[str, list[str]] = {"": []}
     for line in lines(found, columns=columns, colours=False):

@@ -40,15 +40,15 @@ class Monitor:
     def __init__(self, folder: Path) -> None:
         self._folder, self.file = folder, folder / "there.mcap"
         self.file.write_bytes(FILE)
-        self.told = Recordings(workload="robot-1", on=True, recordings=[recording(3), recording(2)])
-        self.pages: dict[str, Page] = {"/": lambda: (200, json.dumps(self.told.to_wire()), JSON)}
-        for one in self.told.recordings:
+        self.recordings = Recordings(workload="robot-1", on=True, recordings=[recording(3), recording(2)])
+        self.pages: dict[str, Page] = {"/": lambda: (200, json.dumps(self.recordings.to_wire()), JSON)}
+        for one in self.recordings.recordings:
             self.pages[f"/{one.id}.mcap"] = lambda: (200, self.file, "application/octet-stream")
 
     def reached_by(self, port: int) -> None:
         kubectl = self._folder / "kubectl"
-        file = self._folder / "told.json"
-        kubectl.write_text(KUBECTL.format(told=str(file), asked=str(self._folder / "asked")))
+        file = self._folder / "settings.json"
+        kubectl.write_text(KUBECTL.format(settings=str(file), asked=str(self._folder / "asked")))
         kubectl.chmod(0o755)
         pod = {"metadata": {"name": "monitor-1"}, "status": READY}
         file.write_text(json.dumps({"workload": {}, "pods": [pod], "port": port}))
@@ -97,11 +97,11 @@ def test_json_output_contains_all_recordings(monitor: Monitor, capsys: pytest.Ca
     assert main(["robot-1", "-o", form]) == 0
     output = capsys.readouterr().out
     assert output.startswith("{") is (form == "json")
-    assert Recordings.model_validate(yaml.safe_load(output)) == monitor.told
+    assert Recordings.model_validate(yaml.safe_load(output)) == monitor.recordings
 
 
 def test_a_missing_recording_is_explained(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
-    monitor.told = Recordings(workload="robot-1", on=False)
+    monitor.recordings = Recordings(workload="robot-1", on=False)
     assert main(["robot-1"]) == 1
     assert_golden("blackbox", capsys.readouterr().out, "spec.blackBox", "FailurePolicy")
 
@@ -135,21 +135,21 @@ def test_an_unknown_recording_is_reported(monitor: Monitor, capsys: pytest.Captu
     assert main(["robot-1", "--fetch", "7"]) == 2
     output = capsys.readouterr().err
     assert_golden("blackbox", output, "recording 7 of robot-1", "3abcdef (failure 3), 2abcdef (failure 2)")
-    monitor.told = Recordings(workload="robot-1", on=True)
+    monitor.recordings = Recordings(workload="robot-1", on=True)
     assert main(["robot-1", "--fetch"]) == 2
     assert "there is no recording of robot-1" in capsys.readouterr().err
 
 
 def test_a_number_selects_a_recording_by_number_not_by_id(monitor: Monitor) -> None:
     newest = recording(3).model_copy(update={"id": "2fe3"})
-    monitor.told = Recordings(workload="robot-1", on=True, recordings=[newest, recording(2)])
+    monitor.recordings = Recordings(workload="robot-1", on=True, recordings=[newest, recording(2)])
     assert main(["robot-1", "--fetch", "2"]) == 0
     assert here() == ["robot-1-2.mcap"]
 
 
 def test_an_ambiguous_id_prefix_is_refused(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
     both = [recording(number).model_copy(update={"id": f"e{number}"}) for number in (3, 2)]
-    monitor.told = Recordings(workload="robot-1", on=True, recordings=both)
+    monitor.recordings = Recordings(workload="robot-1", on=True, recordings=both)
     assert main(["robot-1", "--fetch", "e"]) == 2
     assert_golden("blackbox", capsys.readouterr().err, "robot-1", "e3 (failure 3), e2 (failure 2)")
     assert here() == []

@@ -8,7 +8,7 @@ import pytest
 
 from tests.support import fleet
 from tests.support.golden import assert_golden
-from tests.unit.cli.inspect.explained import known, told
+from tests.unit.cli.inspect.explained import explained_lines, known
 from tests.unit.controller import world
 from understudy.cli.common.robots import UNWATCHED
 from understudy.cli.inspect.explanation import for_scripts, lines
@@ -16,7 +16,7 @@ from understudy.cli.inspect.explanation import for_scripts, lines
 
 def test_a_completely_protected_robot_is_explained() -> None:
     found = known(fleet.well())
-    text = told(found)
+    text = explained_lines(found)
     assert found.is_well
     assert_golden("explain", lines(found, columns=None, colours=False))
     health, control = text[""]
@@ -60,7 +60,7 @@ def test_the_size_of_an_automatically_sized_pool_is_explained() -> None:
     pool = fleet.spare(size={"sizing": {"risk": "1%", "max": 9}}, sizing=sizing, conditions=[condition])
     item = fleet.well()
     others = [one for one in fleet.around(item) if one["metadata"]["name"] != "navigation-spare"]
-    text = told(known(item, [*others, pool]))["Pools"]
+    text = explained_lines(known(item, [*others, pool]))["Pools"]
     assert_golden("explain", text)
     assert text[2].startswith("navigation-spare (Uninitialized, shared): 3 of 3")
     assert text[3] == why
@@ -69,7 +69,7 @@ def test_the_size_of_an_automatically_sized_pool_is_explained() -> None:
 def test_an_unavailable_strategy_is_reported_with_a_cure_and_the_alternative() -> None:
     item = fleet.unprotected()
     found = known(item, fleet.around(item, standby_waits="ImagePullBackOff"))
-    text = told(found)
+    text = explained_lines(found)
     assert not found.is_well
     assert_golden("explain", [*text["If it failed now"], *text["Pools"], *text["Missing"]])
     first, second, *_ = text["If it failed now"]
@@ -84,18 +84,18 @@ def test_an_unavailable_strategy_is_reported_with_a_cure_and_the_alternative() -
 
 
 def test_the_reason_and_duration_of_a_degraded_state_are_explained() -> None:
-    head, why, tree, _ = told(known(fleet.degraded()))[""]
+    head, why, tree, _ = explained_lines(known(fleet.degraded()))[""]
     assert_golden("explain", [head, why, tree])
     assert tree.endswith("understudy tree -n fleet robot-18-navigation")
     assert head == "fleet/robot-18-navigation  Degraded for 38s"
     assert all(fact in why for fact in ("/scan", "8.6 Hz", "9.0 to 11.0", "sensors/scan"))
-    assert told(known(fleet.degraded()))["Missing"][-1] == "✓ Its protection is complete."
+    assert explained_lines(known(fleet.degraded()))["Missing"][-1] == "✓ Its protection is complete."
 
 
 def test_a_missing_monitor_is_reported() -> None:
     item = fleet.unwatched()
     found = known(item, [i for i in fleet.around(item) if "monitor" not in i["metadata"]["name"]])
-    text = told(found)
+    text = explained_lines(found)
     assert not found.is_well
     assert text[""][0] == "fleet/robot-20-navigation  Unwatched"
     assert text["If it failed now"][0].startswith(
@@ -110,7 +110,7 @@ def test_the_cluster_overrides_an_outdated_status() -> None:
     items = [i for i in fleet.around(item) if i["metadata"]["name"] != "robot-17-navigation-w7h5k"]
     found = known(item, items)
     assert not found.is_well
-    (missing,) = told(found)["Missing"]
+    (missing,) = explained_lines(found)["Missing"]
     assert_golden("explain", missing)
     assert missing.startswith("✗ not protected (StandbyNotReady)")
 
@@ -118,28 +118,32 @@ def test_the_cluster_overrides_an_outdated_status() -> None:
 def test_a_monitor_that_expects_another_strategy_is_reported() -> None:
     item = fleet.well()
     item["status"]["strategy"] = "Restart"
-    assert any(line.startswith("! Its monitor says Restart.") for line in told(known(item))["If it failed now"])
-    assert not any("Its monitor says" in line for line in told(known(fleet.well()))["If it failed now"])
+    assert any(
+        line.startswith("! Its monitor says Restart.") for line in explained_lines(known(item))["If it failed now"]
+    )
+    assert not any("Its monitor says" in line for line in explained_lines(known(fleet.well()))["If it failed now"])
 
 
 def test_a_takeover_by_the_reflex_counts_for_its_strategy() -> None:
     item = fleet.well()
     for recovery in item["status"]["recoveries"]:
         recovery["strategy"] = "Fallback/Executing (reflex)"
-    assert told(known(item))["If it failed now"][0].endswith("It took 509 ms, the median of the last 3 times.")
+    assert explained_lines(known(item))["If it failed now"][0].endswith(
+        "It took 509 ms, the median of the last 3 times."
+    )
 
 
 def test_a_missing_active_instance_is_reported() -> None:
     item = fleet.well()
     gate = world.gate(item, epoch=42)
     others = [i for i in fleet.around(item) if i["kind"] != "NetworkPolicy"]
-    assert "In control: nobody (gate epoch 42)." in told(known(item, [*others, gate]))[""]
+    assert "In control: nobody (gate epoch 42)." in explained_lines(known(item, [*others, gate]))[""]
 
 
 def test_a_missing_policy_is_reported() -> None:
     item = fleet.well()
     found = known(item, [i for i in fleet.around(item) if i["kind"] != "FailurePolicy"])
-    text = told(found)
+    text = explained_lines(found)
     assert_golden("explain", text["If it failed now"])
     assert 'FailurePolicy "navigation" in namespace fleet' in text["If it failed now"][0]
     assert "Executing" in text["If it failed now"][1]
@@ -149,7 +153,7 @@ def test_a_missing_policy_is_reported() -> None:
 def test_a_pool_that_does_not_serve_the_workload_is_reported() -> None:
     item = fleet.well()
     item["metadata"]["labels"] = {"app": "navigation"}
-    text = told(known(item))
+    text = explained_lines(known(item))
     first = text["If it failed now"][0]
     assert_golden("explain", first)
     assert first.startswith("✗ 1. Fallback from pool navigation-hot")
@@ -160,7 +164,7 @@ def test_a_pool_that_does_not_serve_the_workload_is_reported() -> None:
 def test_a_pool_with_too_few_pods_is_reported_unless_the_cause_is() -> None:
     item = fleet.unprotected()
     others = [i for i in fleet.around(item, standby_waits="ImagePullBackOff") if i["kind"] != "FallbackPool"]
-    text = told(known(item, [*others, fleet.short_of_one(), fleet.short_of_another()]))
+    text = explained_lines(known(item, [*others, fleet.short_of_one(), fleet.short_of_another()]))
     assert_golden("explain", text["Missing"])
     (short,) = text["Missing"][1:]
     assert short.startswith("✗ pool navigation-spare")
@@ -171,7 +175,7 @@ def test_a_policy_without_an_available_strategy_is_reported() -> None:
     item = fleet.well()
     policy = fleet.policy({"type": "Fallback", "poolRef": {"name": "elsewhere"}})
     others = [i for i in fleet.around(item) if i["kind"] != "FailurePolicy"]
-    text = told(known(item, [*others, policy]))
+    text = explained_lines(known(item, [*others, policy]))
     assert_golden("explain", [*text["If it failed now"], *text["Not covered"]])
     assert any(line.startswith("✗ No strategy of its policy") for line in text["If it failed now"])
     assert any("one strategy" in line for line in text["Not covered"])
@@ -187,7 +191,7 @@ def test_gaps_in_the_configured_protection_are_listed() -> None:
             {"service": "/clear", "type": "std_srvs/srv/Trigger"},
         ],
     )
-    first, *others = told(known(item))["Not covered"]
+    first, *others = explained_lines(known(item))["Not covered"]
     assert_golden("explain", [first, *others])
     assert "does not watch /gripper" in first
     assert any("keeps no state" in line for line in others)
@@ -208,9 +212,9 @@ def test_output_readers_are_reported_as_missing_only_if_the_condition_is_false(
 ) -> None:
     name, words = "robot-17-navigation", "Of /cmd_vel it is so."
     item = fleet.workload(
-        name, status=fleet.status(name, "x8v2m", 41, fleet.said("OutputsRead", status, reason, words))
+        name, status=fleet.status(name, "x8v2m", 41, fleet.condition("OutputsRead", status, reason, words))
     )
-    text = told(known(item))
+    text = explained_lines(known(item))
     assert (text["Not covered"][0] == words) is told_first
     assert any(words in line for line in text["Missing"]) is (status == "False")
 
@@ -228,7 +232,7 @@ def test_a_pool_with_standbys_only_while_degraded_is_left_out_and_reported() -> 
     others = [
         i for i in fleet.around(item) if i["kind"] != "FailurePolicy" and i["metadata"]["name"] != "navigation-hot"
     ]
-    text = told(known(item, [*others, fleet.policy(**warm), cold]))
+    text = explained_lines(known(item, [*others, fleet.policy(**warm), cold]))
     assert_golden("explain", text["If it failed now"])
     assert text["If it failed now"][0].startswith("✓ 1. Fallback from pool navigation-spare")
     assert any(line.startswith("Left out: navigation-hot") for line in text["If it failed now"])
@@ -241,8 +245,8 @@ def test_the_current_situation_and_its_strategies_are_explained() -> None:
     item = fleet.well()
     item["status"]["situation"] = {"name": "carrying", "since": fleet.ago(90), "reason": "a goal of /carry is active"}
     words = "The robot is in situation carrying. Strategies in effect: Executing (navigation-hot), Restart."
-    item["status"]["conditions"].append(fleet.said("SituationCovered", "True", "InForce", words).to_wire())
-    text = told(known(item, [*(i for i in fleet.around(item) if i["kind"] != "FailurePolicy"), asked]))
+    item["status"]["conditions"].append(fleet.condition("SituationCovered", "True", "InForce", words).to_wire())
+    text = explained_lines(known(item, [*(i for i in fleet.around(item) if i["kind"] != "FailurePolicy"), asked]))
     (situation,) = (line for line in text[""] if line.startswith("Situation: "))
     assert_golden("explain", situation)
     assert all(fact in situation for fact in ("carrying for 1m30s", "a goal of /carry is active", words))
@@ -252,8 +256,10 @@ def test_the_current_situation_and_its_strategies_are_explained() -> None:
 def test_a_situation_whose_standby_is_not_ready_is_listed_as_missing() -> None:
     item = fleet.well()
     words = "The robot is in situation carrying. Until its first strategy is available, the strategies stay Restart."
-    item["status"]["conditions"].append(fleet.said("SituationCovered", "False", "StandbyNotReady", words).to_wire())
-    (missing,) = (line for line in told(known(item))["Missing"] if words in line)
+    item["status"]["conditions"].append(
+        fleet.condition("SituationCovered", "False", "StandbyNotReady", words).to_wire()
+    )
+    (missing,) = (line for line in explained_lines(known(item))["Missing"] if words in line)
     assert_golden("explain", missing)
     assert "(StandbyNotReady, 4m12s)" in missing
 
@@ -264,7 +270,7 @@ def test_only_the_newest_warning_events_are_shown() -> None:
         fleet.event(30, "GateBlocked", "Packets of w-2", count=3),
         fleet.event(10, "Recovered", "all well", kind="Normal"),
     ]
-    assert told(known(fleet.well(), None, *events))["Lately"] == [
+    assert explained_lines(known(fleet.well(), None, *events))["Lately"] == [
         "30s ago  GateBlocked, 3 times: Packets of w-2",
         "15m ago  StandbyReplaced: w-1 was ready",
     ]
@@ -282,13 +288,13 @@ def test_dependencies_and_dependents_are_listed() -> None:
     item = fleet.workload("planning", status=fleet.status("planning", "x8v2m", 4), dependsOn=needs)
     first = fleet.workload("localization", status=fleet.status("localization", "c5n8r", 2, health="Recovering"))
     last = fleet.workload("control", dependsOn=[{"name": "planning"}])
-    text = told(known(item, [*fleet.around(item), item, first, last]))
+    text = explained_lines(known(item, [*fleet.around(item), item, first, last]))
     localization, maps, control = text["Dependencies"]
     assert_golden("explain", text["Dependencies"])
     assert localization.startswith("✗ on localization (Recovering);")
     assert maps.startswith("✗ on maps,")
     assert control.startswith("These depend on this one: control.")
-    assert "Dependencies" not in told(known(fleet.well()))
+    assert "Dependencies" not in explained_lines(known(fleet.well()))
 
 
 def test_a_recovery_known_only_from_the_gate_is_explained() -> None:
@@ -296,7 +302,10 @@ def test_a_recovery_known_only_from_the_gate_is_explained() -> None:
     others = [one for one in fleet.around(item) if one["kind"] != "NetworkPolicy"]
     items = [*others, fleet.gate(item, fleet.under_way())]
     found = known(item, items)
-    text, how = told(found), "no /cmd_vel for 500 ms; Fallback/Executing is tried with robot-17-navigation-w7h5k."
+    text, how = (
+        explained_lines(found),
+        "no /cmd_vel for 500 ms; Fallback/Executing is tried with robot-17-navigation-w7h5k.",
+    )
     assert (found.health, found.is_well) == ("Recovering", False)
     assert text[""][:2] == ["fleet/robot-17-navigation  Recovering for 1s", how]
     assert_golden("explain", text[""])
@@ -311,6 +320,6 @@ def test_a_dependency_is_recovering_as_soon_as_its_gate_reports_it() -> None:
     item = fleet.workload("planning", status=fleet.status("planning", "x8v2m", 4), dependsOn=needs)
     first = fleet.well()
     around = [*fleet.around(item), first]
-    assert told(known(item, around))["Dependencies"][0].startswith("✓ on robot-17-navigation (Healthy);")
+    assert explained_lines(known(item, around))["Dependencies"][0].startswith("✓ on robot-17-navigation (Healthy);")
     around.append(fleet.gate(first, fleet.under_way()))
-    assert told(known(item, around))["Dependencies"][0].startswith("✗ on robot-17-navigation (Recovering);")
+    assert explained_lines(known(item, around))["Dependencies"][0].startswith("✗ on robot-17-navigation (Recovering);")

@@ -185,19 +185,19 @@ class Watching:
         command = [sys.executable, "-m", "understudy", "status", "-w"]
         self.process = subprocess.Popen(command, stdout=writing, env=variables)
         os.close(writing)
-        self.told = ""
+        self.output = ""
 
     def until(self, words: str) -> str:
         """What it wrote from here to these words."""
-        end, begin = time.monotonic() + LONG, len(self.told)
-        while words not in self.told[begin:]:
+        end, begin = time.monotonic() + LONG, len(self.output)
+        while words not in self.output[begin:]:
             left = end - time.monotonic()
-            assert left > 0, f"{words!r} was not told within {LONG} s, but {self.told[begin:]!r}"
+            assert left > 0, f"{words!r} was not told within {LONG} s, but {self.output[begin:]!r}"
             if select.select([self._reading], [], [], left)[0]:
                 chunk = os.read(self._reading, 65536).decode()
                 assert chunk, f"it ended with {self.process.wait(LONG)} before {words!r}"
-                self.told += chunk
-        return self.told[begin:]
+                self.output += chunk
+        return self.output[begin:]
 
     def end(self) -> int:
         """End it as Ctrl-C does; its exit status."""
@@ -292,7 +292,7 @@ def test_robots_can_be_watched_without_the_right_to_read_gates(stand: FakeKubect
         asked = len([line for line in stand.asked if "get networkpolicies" in line])
         stand.tell([*recovering(began=time.time())[1:]], forbidden=["networkpolicies"])
         watching.until("fleet/robot-17-navigation; deleted")
-        assert "Recovering" not in watching.told
+        assert "Recovering" not in watching.output
         assert len([line for line in stand.asked if "get networkpolicies" in line]) == asked, (
             "once is enough for a while"
         )
@@ -321,5 +321,5 @@ def test_without_a_terminal_each_change_is_one_line(stand: FakeKubectl, watching
     assert "robot-18" not in changed, "it is as it was"
     stand.tell([fleet.well(), fleet.degraded()])
     watching.until("fleet/robot-17-navigation; Healthy")
-    assert "\x1b" not in watching.told
+    assert "\x1b" not in watching.output
     assert watching.end() == 0

@@ -18,12 +18,12 @@ POOLS = [pool(fleet.short_of_one()), pool(fleet.short_of_another())]
 LOOK = Layout(now=fleet.NOW)
 
 
-def told(columns: int | None, **look: bool) -> list[str]:
+def screen_lines(columns: int | None, **look: bool) -> list[str]:
     return list(lines(ROBOTS, POOLS, dataclasses.replace(LOOK, columns=columns, **look)))
 
 
 def test_active_instance_protection_and_last_recovery_are_shown() -> None:
-    head, first, *_ = told(140)
+    head, first, *_ = screen_lines(140)
     assert head.split("  ")[0] == "ROBOT"
     assert re.split(r"\s{2,}", first) == [
         "robot-17-navigation", "Healthy", "yes", "robot-17-navigation-x8v2m (41)", "Executing (1/1)",
@@ -32,7 +32,7 @@ def test_active_instance_protection_and_last_recovery_are_shown() -> None:
 
 
 def test_a_problem_is_shown_below_its_robot_with_its_duration() -> None:
-    found = told(140)
+    found = screen_lines(140)
     index = next(i for i, line in enumerate(found) if line.startswith("robot-19-navigation"))
     assert "  NO  " in found[index]
     assert_golden("status", found[index + 1], "(ImagePullBackOff, 3m12s)", "robot-19-navigation-w7h5k")
@@ -40,23 +40,23 @@ def test_a_problem_is_shown_below_its_robot_with_its_duration() -> None:
 
 @pytest.mark.parametrize("columns", [40, 60, 80, 100, 120, 140])
 def test_no_line_is_wider_than_the_terminal(columns: int) -> None:
-    assert max(map(len, told(columns))) <= columns
+    assert max(map(len, screen_lines(columns))) <= columns
 
 
 def test_a_narrow_terminal_shows_the_same_robots() -> None:
     for columns in (40, 80, 140):
-        text = " ".join(" ".join(told(columns)).split())
+        text = " ".join(" ".join(screen_lines(columns)).split())
         assert text.count("not protected (") == 2
         assert "…-x8v2m (41)" in text or "robot-17-navigation-x8v2m (41)" in text
 
 
 def test_without_a_width_a_problem_is_one_line() -> None:
-    (problem,) = (line for line in told(None) if "(ImagePullBackOff" in line)
+    (problem,) = (line for line in screen_lines(None) if "(ImagePullBackOff" in line)
     assert_golden("status", problem, "imagePullSecrets", "pool navigation-spare", "ready (Uninitialized)")
 
 
 def test_a_pool_does_not_repeat_the_problem_of_a_robot() -> None:
-    found = told(None)
+    found = screen_lines(None)
     assert sum("ImagePullBackOff: manifest unknown" in line for line in found) == 1
     assert "  not ready (PodsNotReady, 4s): 3 of 4 are ready." in found
     alone = list(lines([robot(fleet.well())], POOLS, LOOK))
@@ -65,7 +65,7 @@ def test_a_pool_does_not_repeat_the_problem_of_a_robot() -> None:
 
 def test_robots_with_problems_come_first_if_the_screen_is_too_small() -> None:
     look = dataclasses.replace(LOOK, columns=140)
-    everything = told(140)
+    everything = screen_lines(140)
     assert screenful(ROBOTS, POOLS, look, len(everything)) == everything
     found = screenful(ROBOTS, POOLS, look, 10)
     assert len(found) == 10
@@ -92,19 +92,19 @@ def test_columns_keep_their_place_when_a_health_changes() -> None:
 
 
 def test_colours_do_not_change_text_or_alignment() -> None:
-    coloured = [re.sub(r"\x1b\[[0-9;]*m", "", line) for line in told(140, colours=True)]
-    assert coloured == told(140)
-    assert any("\x1b[1;31mNO" in line for line in told(140, colours=True))
+    coloured = [re.sub(r"\x1b\[[0-9;]*m", "", line) for line in screen_lines(140, colours=True)]
+    assert coloured == screen_lines(140)
+    assert any("\x1b[1;31mNO" in line for line in screen_lines(140, colours=True))
 
 
 def test_wide_output_has_more_columns_and_is_not_shortened() -> None:
-    head = told(40, wide=True)[0]
+    head = screen_lines(40, wide=True)[0]
     assert head.split()[-5:] == ["RECOVERIES", "NEXT", "SITUATION", "POLICY", "AGE"]
 
 
 def test_namespaces_are_shown_if_all_are_selected() -> None:
-    assert told(None, namespaces=True)[1].startswith("fleet      robot-17-navigation")
-    assert told(40, namespaces=True)[0].startswith("fleet/robot-17-navigation")
+    assert screen_lines(None, namespaces=True)[1].startswith("fleet      robot-17-navigation")
+    assert screen_lines(40, namespaces=True)[0].startswith("fleet/robot-17-navigation")
 
 
 def test_a_robot_without_active_instance_and_with_failed_recovery_is_shown() -> None:
@@ -130,7 +130,7 @@ def test_a_recovery_known_only_from_the_gate_is_shown() -> None:
 
 
 def test_control_characters_are_escaped() -> None:
-    bad = fleet.said("Protected", "False", "PoolEmpty", "a\x1b[2Jb\nc")
+    bad = fleet.condition("Protected", "False", "PoolEmpty", "a\x1b[2Jb\nc")
     status = fleet.status("robot-1", "abcde", 1, bad)
     shown = robot(fleet.workload("robot-1", status=status))
     for text in [*lines([shown], [], LOOK), in_a_line(shown)]:

@@ -22,17 +22,17 @@ class Cluster:
     """What the stand-in for kubectl tells, and what the monitor behind its forwarding says."""
 
     def __init__(self, folder: Path) -> None:
-        self._told, self.asked = folder / "told.json", folder / "asked"
+        self._settings, self.asked = folder / "settings.json", folder / "asked"
         self.state: dict[str, Any] = state()
         self.port: int | None = None
         self.tell()
         kubectl = folder / "kubectl"
-        kubectl.write_text(KUBECTL.format(told=str(self._told), asked=str(self.asked)))
+        kubectl.write_text(KUBECTL.format(settings=str(self._settings), asked=str(self.asked)))
         kubectl.chmod(0o755)
 
     def tell(self, **more: Any) -> None:
         pod = {"metadata": {"name": "monitor-1"}, "status": READY}
-        self._told.write_text(json.dumps({"workload": {}, "pods": [pod], "port": self.port, **more}))
+        self._settings.write_text(json.dumps({"workload": {}, "pods": [pod], "port": self.port, **more}))
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ from __future__ import annotations
 from typing import Any
 
 from tests.support import fleet
-from tests.support.fleet import NOW, ago, said
+from tests.support.fleet import NOW, ago, condition
 from tests.unit.controller import world
 from understudy.api import names
 from understudy.api.kinds.robot_workload import Attempt, Moments, Recovery
@@ -82,13 +82,13 @@ def in_vain() -> Object:
     return robot(
         "robot-3-drive",
         [failed(2, 3600.0), restart(1, 50000.0)],
-        said("Healthy", "True", "Healthy", since=1800.0),
-        said("Protected", "False", "NoStandby", "no standby is ready", since=3600.0),
+        condition("Healthy", "True", "Healthy", since=1800.0),
+        condition("Protected", "False", "NoStandby", "no standby is ready", since=3600.0),
     )
 
 
 def hostile() -> Object:
-    return robot("robot-4-drive", [failed(1, 600.0, HOSTILE)], said("Protected", "False", "NoStandby", HOSTILE))
+    return robot("robot-4-drive", [failed(1, 600.0, HOSTILE)], condition("Protected", "False", "NoStandby", HOSTILE))
 
 
 def quiet() -> Object:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.support.fleet import NOW, ago, recovery, said
+from tests.support.fleet import NOW, ago, condition, recovery
 from tests.unit.cli.report import fleet
 from tests.unit.cli.report.fleet import DAY
 from understudy.api.kinds.robot_workload import DependencyRecovery
@@ -69,7 +69,7 @@ def test_downtime_of_an_ongoing_failure_lasts_until_the_end_of_the_period() -> N
 
 
 def test_downtime_without_a_recorded_end_is_a_lower_bound() -> None:
-    unhealthy = said("Healthy", "False", "NotWell", since=30.0)
+    unhealthy = condition("Healthy", "False", "NotWell", since=30.0)
     found = robot_period(fleet.robot("robot-1-drive", [fleet.failed(1, 500.0)], unhealthy), DAY)
     assert (found.down, found.down_at_least) == (close(64.0), True)
     later = robot_period(fleet.robot("r", [fleet.restart(2, 100.0), fleet.failed(1, 500.0)]), DAY)

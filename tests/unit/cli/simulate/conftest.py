@@ -7,13 +7,13 @@ from typing import Any
 
 import pytest
 
-from tests.unit.dds import keep_to_itself
+from tests.unit.dds import isolate_discovery
 
 
 @pytest.fixture
 def graph(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """A node of the test's own."""
-    keep_to_itself(monkeypatch)
+    isolate_discovery(monkeypatch)
     from understudy.ros.runtime.graph_node import Graph
 
     made = Graph("application")

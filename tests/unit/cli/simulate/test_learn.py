@@ -13,7 +13,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.bag_recording import Said, every, write
+from tests.support.bag_recording import RecordedMessage, every, write
 from tests.support.golden import assert_golden
 from tests.unit.trees.world import World
 from understudy.cli.simulate.bags import Bag
@@ -26,9 +26,9 @@ from understudy.trees.languages.short.health_loader import load
 TWIST = "geometry_msgs/msg/Twist"
 
 
-def jittery(topic: str, end: float, hertz: float) -> list[Said]:
+def jittery(topic: str, end: float, hertz: float) -> list[RecordedMessage]:
     chance = random.Random(7)
-    return [Said(n / hertz + chance.uniform(0, 0.4 / hertz), topic, TWIST) for n in range(int(end * hertz))]
+    return [RecordedMessage(n / hertz + chance.uniform(0, 0.4 / hertz), topic, TWIST) for n in range(int(end * hertz))]
 
 
 def learn(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, dict[str, Any], str]:

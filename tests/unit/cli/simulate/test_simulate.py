@@ -14,7 +14,7 @@ import yaml
 from PIL import Image
 from rosbags.rosbag2 import Writer
 
-from tests.support.bag_recording import Said, every, ns, policy, write
+from tests.support.bag_recording import RecordedMessage, every, ns, policy, write
 from tests.support.golden import assert_golden
 from understudy.cli.simulate.simulate import main
 
@@ -296,7 +296,7 @@ def test_control_characters_in_messages_do_not_reach_the_terminal(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     status = {"status": [{"name": "camera", "level": 2, "message": "\x1b[2Jgone\x07"}]}
-    write(folder / "bad", [Said(0, "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", status)])
+    write(folder / "bad", [RecordedMessage(0, "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", status)])
     (folder / "d.yaml").write_text(policy("{diagnostics: {name: camera, worst: WARN}}", grace="0s"))
     assert main(["d.yaml", "--bag", "bad"]) == 1
     out = capsys.readouterr().out

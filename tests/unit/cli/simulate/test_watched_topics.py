@@ -70,7 +70,7 @@ class Command:
             env=environment(),
         )
         self._lines: queue.Queue[str] = queue.Queue()
-        self.told: list[str] = []
+        self.printed: list[str] = []
         if self.process.stdout is not None:
             threading.Thread(target=self._read, args=(self.process.stdout,), daemon=True).start()
 
@@ -85,8 +85,8 @@ class Command:
             try:
                 line = self._lines.get(timeout=max(0.0, end - time.monotonic()))
             except queue.Empty:
-                raise AssertionError(f"{words!r} was not told within {LONG} s, but {self.told}") from None
-            self.told.append(line)
+                raise AssertionError(f"{words!r} was not told within {LONG} s, but {self.printed}") from None
+            self.printed.append(line)
             if words in line:
                 return line
 
@@ -139,7 +139,7 @@ def test_the_start_and_end_of_a_silence_are_reported(
     status, errors = command.ended(signal.SIGINT)
     assert status == 1
     assert re.fullmatch(r"understudy watch: failure: \S+Z chat: no /chat for 3 s\n", errors)
-    assert all(re.match(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z ", line) for line in command.told)
+    assert all(re.match(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z ", line) for line in command.printed)
 
 
 def test_a_run_without_failures_ends_with_status_0(

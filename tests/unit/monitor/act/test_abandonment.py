@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from tests.unit.kube.memory import MemoryClient
-from tests.unit.monitor.abandoned import AWAY, DENIED, STANDBY, THIRD, Monitor, begun, monitor_of, written
+from tests.unit.monitor.abandoned import AWAY, DENIED, STANDBY, THIRD, Monitor, monitor_of, started_recovery, written
 from understudy.api import names
 from understudy.failover.abandoned import AbandonedRecovery
 from understudy.failover.interfaces import Instance, Superseded
@@ -34,10 +34,10 @@ async def test_a_recovery_stopped_by_an_error_after_its_commit_is_marked_as_aban
 ) -> None:
     progress = await monitor.recover(None, last, DENIED)
     assert monitor.ended == ["Stopped"]
-    assert monitor.seen().failing, "as long as nobody has said otherwise"
+    assert monitor.upstream_state().failing, "as long as nobody has said otherwise"
     epoch, selector = GateRecord.of(monitor.policy).epoch, monitor.policy["spec"]
     await monitor.look()
-    assert not monitor.seen().failing
+    assert not monitor.upstream_state().failing
     record = GateRecord.of(monitor.policy)
     found = beside(record.recovery)
     assert found is not None
@@ -46,14 +46,14 @@ async def test_a_recovery_stopped_by_an_error_after_its_commit_is_marked_as_aban
 
 
 async def test_a_recovery_stopped_by_a_refused_commit_is_marked_as_abandoned(monitor: Monitor) -> None:
-    progress = begun()
+    progress = started_recovery()
     await monitor.gate.commit(None, progress)
     monitor.fail("PATCH", DENIED)
     await monitor.recover(STANDBY, progress=progress)
     assert monitor.ended == ["Stopped"]
     monitor.fail("PATCH", None)
     await monitor.look()
-    assert not monitor.seen().failing
+    assert not monitor.upstream_state().failing
 
 
 async def test_a_recovery_stopped_before_its_commit_needs_no_request(monitor: Monitor) -> None:
@@ -64,7 +64,7 @@ async def test_a_recovery_stopped_before_its_commit_needs_no_request(monitor: Mo
 
 
 async def test_an_abandoned_recovery_leaves_the_queue_of_its_pool(monitor: Monitor) -> None:
-    progress = begun()
+    progress = started_recovery()
     progress.waiting = Waiter(workload="w", pool="spare", priority=0, since=2.0, until=1e12)
     await monitor.recover(None, DENIED, progress=progress)
     assert monitor.policy["metadata"]["labels"][names.WAITS_FOR] == "spare"
@@ -81,10 +81,10 @@ async def test_the_mark_is_retried_until_the_api_server_accepts_it_once(monitor:
     monitor.fail("PATCH", error)
     for _ in range(3):
         await monitor.look()
-    assert monitor.seen().failing
+    assert monitor.upstream_state().failing
     monitor.fail("PATCH", None)
     await monitor.look()
-    assert not monitor.seen().failing
+    assert not monitor.upstream_state().failing
     done = written(monitor.client)
     for _ in range(3):
         await monitor.look()
@@ -110,7 +110,7 @@ async def test_a_slow_mark_delays_nothing_and_is_requested_once_at_a_time(
         monitor.abandonment.update()
         await asyncio.sleep(0)
     assert asked == 1
-    next_one = begun(STANDBY)
+    next_one = started_recovery(STANDBY)
     async with asyncio.timeout(1):
         await monitor.gate.commit(THIRD, next_one)  # while it is under way
     answered.set()
@@ -125,7 +125,7 @@ async def test_a_commit_right_after_the_mark_is_not_blocked_by_it(monitor: Monit
     before = dict(monitor.view.gates.items)
     await monitor.look()
     monitor.view.gates.items = before  # its answer has not come yet, nor has the watch told
-    next_one = begun()
+    next_one = started_recovery()
     await monitor.gate.commit(STANDBY, next_one)
     found = beside(GateRecord.of(monitor.policy).recovery)
     assert found is not None
@@ -137,7 +137,7 @@ async def test_the_record_of_a_newer_recovery_is_not_overwritten(
     monitor: Monitor, tmp_path: Path, noticed: bool
 ) -> None:
     await monitor.recover(None, DENIED)
-    other, newer = monitor.successor(tmp_path / "elsewhere"), begun()
+    other, newer = monitor.successor(tmp_path / "elsewhere"), started_recovery()
     await other.gate.commit(STANDBY, newer)
     if noticed:
         monitor.watch()
@@ -176,7 +176,7 @@ async def test_a_restarted_monitor_does_not_continue_an_abandoned_recovery_and_m
     later = monitor.successor(tmp_path)
     assert later.interrupted() is None, "whoever failed may be well again since"
     await later.look()
-    assert not later.seen().failing
+    assert not later.upstream_state().failing
     assert later.successor(tmp_path).interrupted() is None
     assert later.successor(tmp_path / "elsewhere").interrupted() is None, "the gate says it to everybody"
 
@@ -184,14 +184,14 @@ async def test_a_restarted_monitor_does_not_continue_an_abandoned_recovery_and_m
 async def test_a_resumed_recovery_that_stops_before_its_commit_is_abandoned_too(
     monitor: Monitor, tmp_path: Path
 ) -> None:
-    progress = begun()
+    progress = started_recovery()
     await monitor.gate.commit(None, progress)
     later = monitor.successor(tmp_path)
     taken_up = later.interrupted()
     assert taken_up is not None
     await later.recover(DENIED, progress=taken_up)
     await later.look()
-    assert not later.seen().failing
+    assert not later.upstream_state().failing
 
 
 async def test_a_commit_that_takes_effect_after_its_recovery_stopped_is_marked(
@@ -209,19 +209,19 @@ async def test_a_commit_that_takes_effect_after_its_recovery_stopped_is_marked(
     monkeypatch.setattr(GATE, "write", unanswered)
     await monitor.recover(None)
     await monitor.look()
-    assert not monitor.seen().failing
+    assert not monitor.upstream_state().failing
     await late[0]()
     monitor.watch()
-    assert monitor.seen().failing
+    assert monitor.upstream_state().failing
     await monitor.look()
-    assert not monitor.seen().failing
+    assert not monitor.upstream_state().failing
 
 
 async def test_an_unmarked_abandoned_recovery_is_remembered_beside_later_ones(monitor: Monitor, tmp_path: Path) -> None:
     first = await monitor.recover(STANDBY, DENIED)
     monitor.fail("PATCH", DENIED)
     for _ in range(5):
-        await monitor.recover(None, progress=begun(STANDBY))
+        await monitor.recover(None, progress=started_recovery(STANDBY))
         await monitor.look()
     assert monitor.ended == ["Stopped"] * 6
     assert first.id in monitor.abandonment.ids
@@ -229,11 +229,11 @@ async def test_an_unmarked_abandoned_recovery_is_remembered_beside_later_ones(mo
     monitor.fail("PATCH", None)
     later = monitor.successor(tmp_path)
     await later.look()
-    assert not later.seen().failing
+    assert not later.upstream_state().failing
 
 
 async def test_the_mark_does_not_open_a_gate_that_somebody_fenced(monitor: Monitor) -> None:
-    progress = begun()
+    progress = started_recovery()
     await monitor.gate.commit(STANDBY, progress)
     over = GateRecord.of(monitor.policy)
     await GATE.write(monitor.client, "fleet", "w", GATE.commitment("w", over=over, recovery=over.recovery))
@@ -242,11 +242,11 @@ async def test_the_mark_does_not_open_a_gate_that_somebody_fenced(monitor: Monit
     await monitor.look()
     record = GateRecord.of(monitor.policy)
     assert (record.epoch, record.active, GATE.let_through(monitor.policy)) == (6, "", ())
-    assert not monitor.seen().failing
+    assert not monitor.upstream_state().failing
 
 
 async def test_a_full_volume_does_not_prevent_the_mark(monitor: Monitor, monkeypatch: pytest.MonkeyPatch) -> None:
-    await monitor.gate.commit(None, progress := begun())
+    await monitor.gate.commit(None, progress := started_recovery())
 
     def full(given_up: Sequence[AbandonedRecovery]) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -254,14 +254,14 @@ async def test_a_full_volume_does_not_prevent_the_mark(monitor: Monitor, monkeyp
     monkeypatch.setattr(monitor.journal, "give_up", full)
     monitor.abandonment.abandon(progress)
     await monitor.look()
-    assert not monitor.seen().failing
+    assert not monitor.upstream_state().failing
 
 
 def test_abandoned_recoveries_survive_a_restart_and_a_damaged_file_is_ignored(tmp_path: Path) -> None:
     journal, kept = Journal(tmp_path / "recovery.json"), [AbandonedRecovery(id="r1", epoch=4, sent="{}")]
     assert journal.given_up() == []
     journal.give_up(kept)
-    journal.save(begun())
+    journal.save(started_recovery())
     journal.clear()
     assert Journal(tmp_path / "recovery.json").given_up() == kept
     (tmp_path / "recovery.given-up").write_text("[{")
@@ -274,7 +274,7 @@ async def test_a_superseded_recovery_does_not_change_the_commit_of_the_other_mon
     monitor: Monitor, tmp_path: Path
 ) -> None:
     other = monitor.successor(tmp_path / "elsewhere")
-    mine, theirs = begun(), begun()
+    mine, theirs = started_recovery(), started_recovery()
     await monitor.gate.commit(None, mine)
     other.watch()
     await other.gate.commit(STANDBY, theirs.model_copy(update={"result": "Failed"}))

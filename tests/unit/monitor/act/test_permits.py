@@ -130,7 +130,7 @@ class Agents(GivenAgents):
         super().__init__(objects, roles)
         self.deaf = deaf
         self.sessions: dict[str, int] = {}
-        self.told: list[tuple[str, Mapping[str, Any]]] = []
+        self.permits: list[tuple[str, Mapping[str, Any]]] = []
 
     def session(self, instance: Instance) -> tuple[int, int]:
         return (0, self.sessions.get(instance.uid, 1))
@@ -138,13 +138,13 @@ class Agents(GivenAgents):
     async def renew_permit(self, instance: Instance, body: Mapping[str, Any]) -> None:
         if instance.uid == self.deaf:
             await asyncio.sleep(3600)
-        self.told.append((instance.uid, body))
+        self.permits.append((instance.uid, body))
 
     def words(self, uid: str) -> list[str]:
-        return [body["word"] for to, body in self.told if to == uid and "word" in body]
+        return [body["word"] for to, body in self.permits if to == uid and "word" in body]
 
     def last(self, uid: str) -> Mapping[str, Any]:
-        return next(body for to, body in reversed(self.told) if to == uid)
+        return next(body for to, body in reversed(self.permits) if to == uid)
 
 
 class Away(MemoryClient):
@@ -213,14 +213,14 @@ async def test_every_agent_receives_its_witnesses_in_each_session() -> None:
     agents = world.agents
     task = asyncio.create_task(world.permits.run())
     await eventually(
-        lambda: {uid for uid, body in agents.told if "10.1.1.2" in body["witnesses"]} == {"uid-a", "uid-s"}
+        lambda: {uid for uid, body in agents.permits if "10.1.1.2" in body["witnesses"]} == {"uid-a", "uid-s"}
     )
     assert not agents.words("uid-a"), "who isn't held needs no word"
-    before = len(agents.told)
+    before = len(agents.permits)
     agents.sessions["uid-a"] = 2
     world.wakeups.permits.set()
-    await eventually(lambda: len(agents.told) > before)
-    assert agents.told[-1][0] == "uid-a"
+    await eventually(lambda: len(agents.permits) > before)
+    assert agents.permits[-1][0] == "uid-a"
     task.cancel()
 
 
@@ -228,7 +228,7 @@ async def test_neither_an_unavailable_api_server_nor_another_agent_delays_a_perm
     world = World(("uid-a", running()), ("uid-s", running()), deaf="uid-a", client=Away())
     agents = world.agents
     task = asyncio.create_task(world.permits.run())
-    await eventually(lambda: agents.told)
+    await eventually(lambda: agents.permits)
     agents.statuses["uid-s"] = cut_off()
     world.wakeups.permits.set()
     await eventually(lambda: agents.words("uid-s") == ["Go"])
@@ -254,7 +254,7 @@ async def test_an_inactive_instance_may_continue_after_its_node_could_learn_of_t
     world = World(("uid-a", running()), ("uid-s", running()))
     agents = world.agents
     task = asyncio.create_task(world.permits.run())
-    await eventually(lambda: agents.told)
+    await eventually(lambda: agents.permits)
     agents.statuses |= {"uid-a": cut_off(), "uid-s": cut_off()}
     started_at = time.monotonic()
     world.wakeups.permits.set()
@@ -311,7 +311,7 @@ async def test_without_a_reflex_no_agent_receives_anything() -> None:
     world = World(("uid-a", running()), reflex=False)
     task = asyncio.create_task(world.permits.run())
     await asyncio.sleep(0.1)
-    assert not world.agents.told
+    assert not world.agents.permits
     task.cancel()
 
 

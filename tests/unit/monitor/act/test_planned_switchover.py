@@ -36,7 +36,7 @@ from understudy.monitor.observe.objects.storm_condition import StormCondition
 BRING_UP = BringUp("bringUp", {}, 0.2, "digest", False)
 
 
-class Told(RecordedNotices):
+class LastingNotices(RecordedNotices):
     """What a monitor reports; it outlives that monitor, as the status does."""
 
     @property
@@ -88,23 +88,23 @@ class GivenOptions(StrategyOptions):
 class Scene:
     """A monitor's switchovers in a world that w-1 drives, with w-2 as its standby."""
 
-    def __init__(self, *strategies: Strategy, notices: Told | None = None, **standby: Any) -> None:
+    def __init__(self, *strategies: Strategy, notices: LastingNotices | None = None, **standby: Any) -> None:
         self.store = Store(beside=True)
         self.store.add("w-1", node="node-1")
         self.store.add("w-2", **{"pool": "hot", "node": "node-2"} | standby)
         self.store.gate = GateState(epoch=1, active="w-1", active_uid="uid-w-1")
-        self.told = notices or Told()
-        self.objects = ClusterObjects(notices=self.told)
+        self.notices = notices or LastingNotices()
+        self.objects = ClusterObjects(notices=self.notices)
         self.ask(None)
         self.drain()
         pods = StoredPods(self.objects, self.store)
         gate = StoredGate(self.objects, pods, self.store)
         senses = GivenSenses(self.objects)
         self._options = GivenOptions(self.objects, World(self.store), strategies or (ExecutingFallback("hot"),))
-        self._garbage = GarbageCollection(pods, gate, self.told)
+        self._garbage = GarbageCollection(pods, gate, self.notices)
         cluster = Cluster(self.objects.view, pods, gate)
         self.switching = PlannedSwitchovers(
-            cluster, self._options, senses.state_manager, senses.current, self._garbage, self.told
+            cluster, self._options, senses.state_manager, senses.current, self._garbage, self.notices
         )
 
     @property
@@ -116,7 +116,7 @@ class Scene:
         """The pods that are of no use any more."""
         return [pod.name for pod in self._garbage.failed()]
 
-    def begin_anew(self) -> None:
+    def restart_monitor(self) -> None:
         """Have a world with the pods that the store has now."""
         self._options.world = World(self.store)
 
@@ -157,7 +157,7 @@ def quickly(monkeypatch: pytest.MonkeyPatch) -> None:
 async def test_without_a_request_nothing_is_done() -> None:
     scene = Scene()
     assert await scene.looked(0.05) is None
-    assert (scene.told.status.switchover, scene.told.events) == (None, [])
+    assert (scene.notices.status.switchover, scene.notices.events) == (None, [])
 
 
 async def test_a_request_is_carried_out_once() -> None:
@@ -167,11 +167,11 @@ async def test_a_request_is_carried_out_once() -> None:
     assert found is not None
     assert found.target is not None
     assert (found.target.name, found.progress.request, found.progress.switchover) == ("w-2", asked, "Failover")
-    assert scene.told.phase == "Preparing"
+    assert scene.notices.phase == "Preparing"
     done = await scene.switch(found)
-    assert scene.told.status.switchover is not None
-    assert (scene.told.phase, scene.told.status.switchover.handled) == ("Done", asked)
-    assert (scene.told.status.switchover.recovery, scene.told.status.switchover.target) == (done.id, "w-2")
+    assert scene.notices.status.switchover is not None
+    assert (scene.notices.phase, scene.notices.status.switchover.handled) == ("Done", asked)
+    assert (scene.notices.status.switchover.recovery, scene.notices.status.switchover.target) == (done.id, "w-2")
     scene.store.add("w-3", pool="hot")
     assert await scene.looked(0.1) is None, "it was carried out"
     scene.ask(request("failover", time.time()))
@@ -190,7 +190,7 @@ async def test_a_new_monitor_does_not_repeat_a_request_even_after_drains() -> No
     assert found is not None
     assert found.progress.switchover == "Drain"
     await scene.switch(found)
-    again = Scene(notices=scene.told)
+    again = Scene(notices=scene.notices)
     again.ask(asked)
     assert await again.looked(0.1) is None
 
@@ -200,11 +200,11 @@ async def test_a_new_monitor_starts_again_with_a_switchover_that_was_being_prepa
     scene.store.broken.add("w-2")
     scene.ask(asked := request("failover", time.time()))
     assert await scene.looked(0.05) is None
-    assert scene.told.phase == "Preparing"
-    again = Scene(notices=scene.told)
+    assert scene.notices.phase == "Preparing"
+    again = Scene(notices=scene.notices)
     again.ask(asked)
     assert await again.looked() is not None
-    assert scene.told.reasons == ["SwitchoverBegun"], "which isn't told twice"
+    assert scene.notices.reasons == ["SwitchoverBegun"], "which isn't told twice"
 
 
 async def test_a_switchover_waits_for_a_standby_and_ends_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -212,14 +212,14 @@ async def test_a_switchover_waits_for_a_standby_and_ends_with_the_reason(monkeyp
     scene = Scene(ready=False)
     scene.ask(request("failover", time.time()))
     assert await scene.looked(0.1) is None
-    assert (scene.told.phase, scene.told.message) == (
+    assert (scene.notices.phase, scene.notices.message) == (
         "Waiting",
         "Fallback/Executing: w-2: no /cmd_vel for 500 ms.",
     )
     assert await scene.looked(0.2) is None
-    assert scene.told.phase == "NotDone"
-    assert_golden("monitor", scene.told.message, "Fallback/Executing", "w-2", "/cmd_vel")
-    assert scene.told.reasons[-1] == "SwitchoverNotDone"
+    assert scene.notices.phase == "NotDone"
+    assert_golden("monitor", scene.notices.message, "Fallback/Executing", "w-2", "/cmd_vel")
+    assert scene.notices.reasons[-1] == "SwitchoverNotDone"
     assert (scene.state.active, scene.store.commits) == ("w-1", [])
 
 
@@ -227,7 +227,7 @@ async def test_a_switchover_does_not_begin_while_the_active_instance_is_not_heal
     scene = Scene()
     scene.ask(request("failover", time.time()))
     assert scene.look("w-1 isn't healthy yet") is None
-    assert (scene.told.phase, scene.told.message) == ("Waiting", "w-1 isn't healthy yet.")
+    assert (scene.notices.phase, scene.notices.message) == ("Waiting", "w-1 isn't healthy yet.")
     assert await scene.looked() is not None
 
 
@@ -235,11 +235,11 @@ async def test_an_old_or_unknown_request_is_reported_and_not_carried_out() -> No
     scene = Scene()
     scene.ask(request("failover", time.time() - 3600))
     assert await scene.looked(0.05) is None
-    assert "no monitor handled it for 3600 s" in scene.told.message
+    assert "no monitor handled it for 3600 s" in scene.notices.message
     scene.ask("failover now")
     assert await scene.looked(0.05) is None
-    assert_golden("monitor", scene.told.message, "'failover now'")
-    assert scene.told.reasons == ["SwitchoverNotDone"] * 2, "each is told once"
+    assert_golden("monitor", scene.notices.message, "'failover now'")
+    assert scene.notices.reasons == ["SwitchoverNotDone"] * 2, "each is told once"
 
 
 async def test_a_failure_takes_precedence_and_ends_the_request() -> None:
@@ -249,8 +249,8 @@ async def test_a_failure_takes_precedence_and_ends_the_request() -> None:
     assert await scene.looked(0.05) is None
     assert scene.switching.preparing == "uid-w-2"
     assert scene.switching.failed("no /cmd_vel for 500 ms") == PodIdentity(name="w-2", uid="uid-w-2")
-    assert (scene.switching.preparing, scene.told.phase, scene.left) == ("", "NotDone", [])
-    assert "no /cmd_vel for 500 ms" in scene.told.message
+    assert (scene.switching.preparing, scene.notices.phase, scene.left) == ("", "NotDone", [])
+    assert "no /cmd_vel for 500 ms" in scene.notices.message
     assert await scene.looked(0.05) is None
 
 
@@ -260,7 +260,7 @@ async def test_a_request_from_before_a_recovery_is_not_carried_out() -> None:
     recovery = Progress.begin("it failed", last_healthy=time.time() - 2, detected=time.time() - 1)
     scene.store.gate = GateState(epoch=2, active="w-1", active_uid="uid-w-1", recovery=recovery)
     assert await scene.looked(0.05) is None
-    assert "the active instance failed and was recovered" in scene.told.message
+    assert "the active instance failed and was recovered" in scene.notices.message
 
 
 async def test_a_late_status_of_an_earlier_monitor_does_not_repeat_a_switchover() -> None:
@@ -272,11 +272,11 @@ async def test_a_late_status_of_an_earlier_monitor_does_not_repeat_a_switchover(
     done.moments["detected"] = time.time()  # the world's clock isn't that of who asks
     scene.store.gate = GateState(epoch=2, active="w-2", active_uid="uid-w-2", recovery=done)
     scene.store.add("w-3", pool="hot")
-    scene.told.set_switchover(cast(Any, None))
+    scene.notices.set_switchover(cast(Any, None))
     assert await scene.looked(0.1) is None
-    assert "another switchover took place" in scene.told.message
-    assert scene.told.status.switchover is not None
-    assert scene.told.status.switchover.handled == asked
+    assert "another switchover took place" in scene.notices.message
+    assert scene.notices.status.switchover is not None
+    assert scene.notices.status.switchover.handled == asked
 
 
 async def test_a_withdrawn_request_leaves_no_prepared_standby() -> None:
@@ -286,25 +286,28 @@ async def test_a_withdrawn_request_leaves_no_prepared_standby() -> None:
     assert await scene.looked(0.05) is None
     scene.ask(None)
     assert await scene.looked(0.05) is None
-    assert (scene.told.phase, scene.left) == ("NotDone", ["w-2"]), "what was begun with is of no use"
+    assert (scene.notices.phase, scene.left) == ("NotDone", ["w-2"]), "what was begun with is of no use"
 
 
 async def test_a_waiting_switchover_ends_when_the_drain_ends() -> None:
     scene = Scene(ready=False)
     scene.drain("node-1")
     assert await scene.looked(0.05) is None
-    assert scene.told.phase == "Waiting"
+    assert scene.notices.phase == "Waiting"
     scene.drain()
     assert await scene.looked(0.05) is None
-    assert (scene.told.phase, scene.told.message) == ("NotDone", "Nothing was changed: the request was withdrawn.")
+    assert (scene.notices.phase, scene.notices.message) == (
+        "NotDone",
+        "Nothing was changed: the request was withdrawn.",
+    )
 
 
 async def test_a_drain_waits_for_a_standby_on_a_node_that_is_not_drained() -> None:
     scene = Scene()
     scene.drain("node-1", "node-2")
     assert await scene.looked(0.05) is None
-    assert scene.told.phase == "Waiting"
-    assert_golden("monitor", scene.told.message, "Fallback/Executing: w-2", "node-2", "cordoned")
+    assert scene.notices.phase == "Waiting"
+    assert_golden("monitor", scene.notices.message, "Fallback/Executing: w-2", "node-2", "cordoned")
     scene.store.add("w-3", pool="hot", node="node-3")
     found = await scene.looked()
     assert found is not None
@@ -318,15 +321,15 @@ async def test_a_drain_applies_only_to_the_instance_that_it_names() -> None:
     scene = Scene()
     scene.drain("node-1", uid="uid-of-one-before")
     assert await scene.looked(0.05) is None
-    assert scene.told.status.switchover is None
+    assert scene.notices.status.switchover is None
 
 
 async def test_a_failback_is_done_if_the_own_pod_is_already_active() -> None:
     scene = Scene()
     scene.ask(request("failback", time.time()))
     assert await scene.looked(0.05) is None
-    assert scene.told.phase == "Done"
-    assert_golden("monitor", scene.told.message, "w-1")
+    assert scene.notices.phase == "Done"
+    assert_golden("monitor", scene.notices.message, "w-1")
 
 
 async def test_a_failback_uses_only_the_pod_of_the_workload_controller() -> None:
@@ -335,7 +338,7 @@ async def test_a_failback_uses_only_the_pod_of_the_workload_controller() -> None
     scene.store.add("w-4", pool="hot", created="1")
     scene.store.gate = GateState(epoch=4, active="w-2", active_uid="uid-w-2")
     scene.store.pods.pop("w-1")
-    scene.begin_anew()
+    scene.restart_monitor()
     scene.ask(request("failback", time.time()))
     found = await scene.looked()
     assert found is not None
@@ -347,7 +350,7 @@ async def test_a_failback_starts_the_own_pod_if_no_strategy_keeps_one() -> None:
     scene = Scene(ExecutingFallback("hot", with_source=False))
     scene.store.gate = GateState(epoch=4, active="w-2", active_uid="uid-w-2")
     scene.store.pods.pop("w-1")
-    scene.begin_anew()
+    scene.restart_monitor()
     scene.ask(request("failback", time.time()))
     found = await scene.looked()
     assert found is not None
@@ -367,10 +370,10 @@ async def test_a_switchover_that_took_effect_late_is_settled(monkeypatch: pytest
 
     monkeypatch.setattr(switchover, "switch", unanswered)
     assert await scene.switching.carry_out(found) is None
-    assert (scene.told.phase, scene.left) == ("NotDone", []), "an executing standby stays one"
+    assert (scene.notices.phase, scene.left) == ("NotDone", []), "an executing standby stays one"
     assert scene.switching.unsettled() is None
     progress = found.progress.model_copy(update={"target": PodIdentity(name="w-2", uid="uid-w-2")})
     scene.store.gate = GateState(epoch=2, active="w-2", active_uid="uid-w-2", recovery=progress)
     assert scene.switching.unsettled() == progress
-    scene.told.record(progress)
+    scene.notices.record(progress)
     assert scene.switching.unsettled() is None

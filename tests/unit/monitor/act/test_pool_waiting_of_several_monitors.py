@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from tests.support.answers import tabled
-from tests.unit.interleavings.apiserver import Event, selecting, told
+from tests.unit.interleavings.apiserver import Event, selecting, watch_event
 from tests.unit.kube.memory import MemoryClient
 from understudy.api import names
 from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
@@ -104,7 +104,7 @@ class Cluster(MemoryClient):
             while at == len(self._pods):
                 await self._written.wait()
             await asyncio.sleep(self._random.uniform(0, LAG))
-            if (found := told(self._pods[at], chosen)) is not None:
+            if (found := watch_event(self._pods[at], chosen)) is not None:
                 yield found
             at += 1
 
@@ -115,8 +115,8 @@ class Cluster(MemoryClient):
             self._written = asyncio.Event()
         loop = asyncio.get_running_loop()
         for monitor in self.monitors:
-            monitor.heard = max(monitor.heard, loop.time() + self._random.uniform(0, LAG))  # in order
-            loop.call_at(monitor.heard, monitor.hear, resource, item)
+            monitor.delivered_at = max(monitor.delivered_at, loop.time() + self._random.uniform(0, LAG))  # in order
+            loop.call_at(monitor.delivered_at, monitor.hear, resource, item)
 
     async def add_pod(self) -> str:
         """A pod of the pool that becomes ready."""
@@ -153,7 +153,7 @@ class Monitor:
 
     def __init__(self, cluster: Cluster, workload: str, priority: int, state: Path) -> None:
         self.cluster, self.workload = cluster, workload
-        self.heard = 0.0
+        self.delivered_at = 0.0
         self.view = ClusterView(cluster, "fleet", workload, Wakeups())
         self.settings = WorkloadSettings(
             workload=workload,

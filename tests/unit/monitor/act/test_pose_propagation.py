@@ -19,7 +19,7 @@ from nav_msgs.msg import Odometry
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 
-from tests.unit.dds import keep_to_itself
+from tests.unit.dds import isolate_discovery
 from tests.unit.monitor.state_monitor import POSE, STANDBY, Monitor, next_monitor
 from understudy.api.kinds.robot_workload import Recovery
 from understudy.api.kinds.state_spec import RestoredState, State
@@ -41,7 +41,7 @@ STATE = State.model_validate(
 
 @pytest.fixture
 def graph(monkeypatch: pytest.MonkeyPatch) -> Iterator[Graph]:
-    keep_to_itself(monkeypatch)
+    isolate_discovery(monkeypatch)
     made = Graph("keeper")
     yield made
     made.close()
@@ -52,15 +52,15 @@ class Robot:
 
     def __init__(self, graph: Graph) -> None:
         self._node = graph.node
-        self.begun = time.time()
+        self.started_at = time.time()
         """When it was at 0."""
         self._publishers: dict[type, Any] = {}
-        self.begin_anew()
+        self.restart_odometry()
         self.publish_poses(QoSProfile(depth=1))
 
-    def begin_anew(self) -> None:
+    def restart_odometry(self) -> None:
         """Have another publisher publish its odometry, from 0."""
-        self.begun = time.time()
+        self.started_at = time.time()
         self._publish(Odometry, "/odom", QoSProfile(depth=10))
 
     def publish_poses(self, qos: QoSProfile) -> None:
@@ -72,7 +72,7 @@ class Robot:
             self._node.destroy_publisher(before)
         self._publishers[type_] = self._node.create_publisher(type_, topic, qos)
 
-    def heard(self, type_: type) -> bool:
+    def is_received(self, type_: type) -> bool:
         """Whether somebody receives its messages of a type."""
         return self._publishers[type_].get_subscription_count() > 0
 
@@ -82,7 +82,7 @@ class Robot:
         for type_ in types or (Odometry, PoseWithCovarianceStamped):
             message = type_()
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(now, 1_000_000_000)
-            message.pose.pose.position.x = now * 1e-9 - self.begun
+            message.pose.pose.position.x = now * 1e-9 - self.started_at
             message.pose.pose.orientation.w = 1.0
             self._publishers[type_].publish(message)
 
@@ -121,7 +121,7 @@ async def test_a_pose_is_kept_with_the_odometry_of_its_time(monitor: Monitor, ro
     assert found is not None
     kept = deserialize_message(sample.data, PoseWithCovarianceStamped).pose.pose.position.x
     assert found.then.x == pytest.approx(kept, abs=0.02), "where odometry had it when the pose was so"
-    assert robot.begun + kept <= onset - 0.1, "from before the margin"
+    assert robot.started_at + kept <= onset - 0.1, "from before the margin"
     assert found.last.x - found.then.x >= 0.9, "it has driven on since"
     assert found.driven == pytest.approx(found.last.x - found.then.x, abs=0.05)
     assert (found.missing, len(found.writer)) == ("", 16)
@@ -136,7 +136,7 @@ async def test_a_latched_pose_from_before_the_health_is_propagated_later(monitor
         end = time.monotonic() + seconds
         await monitor.until(lambda: time.monotonic() > end, each=lambda: robot.say(Odometry))
 
-    await monitor.until(lambda: robot.heard(Odometry) and robot.heard(PoseWithCovarianceStamped))
+    await monitor.until(lambda: robot.is_received(Odometry) and robot.is_received(PoseWithCovarianceStamped))
     await drive(0.5)
     robot.say()
     await drive(4.0)  # several times over what is not needed any more is forgotten
@@ -159,7 +159,7 @@ async def test_odometry_is_watched_during_a_recovery(monitor: Monitor, robot: Ro
         assert after is not None
         assert after.last.x >= before.last.x + 2.0
         assert after.blind < before.blind + 2.0, "all came of it, not only what waits in a queue at the end"
-        robot.begin_anew()
+        robot.restart_odometry()
         while not (found := motion(monitor, onset)) or not found.missing:
             assert time.monotonic() < end
             robot.say(Odometry)
@@ -189,20 +189,20 @@ async def test_a_pose_that_cannot_be_propagated_is_reported(
 ) -> None:
     monkeypatch.setattr(module, "UNCARRIED_FOR", 0.3)
     await monitor.until(
-        lambda: monitor.told.conditions.get("StateKept", ("", ""))[1] == "NotCarried",
+        lambda: monitor.notices.conditions.get("StateKept", ("", ""))[1] == "NotCarried",
         each=lambda: robot.say(PoseWithCovarianceStamped),
     )
-    status, _, message = monitor.told.conditions["StateKept"]
+    status, _, message = monitor.notices.conditions["StateKept"]
     assert status == "False"
     assert_golden("monitor", message, "/amcl_pose", "/odom")
-    await monitor.until(lambda: monitor.told.conditions["StateKept"][0] == "True", each=robot.say)
+    await monitor.until(lambda: monitor.notices.conditions["StateKept"][0] == "True", each=robot.say)
 
 
 async def test_a_standby_receives_propagated_poses(monitor: Monitor, robot: Robot) -> None:
     monitor.waiting = [(STANDBY, 0.1)]
     await monitor.until(
         lambda: any(
-            s.motion and not s.motion.missing for _, kept_state in monitor.agents.given for s in kept_state.samples
+            s.motion and not s.motion.missing for _, kept_state in monitor.agents.restored for s in kept_state.samples
         ),
         each=robot.say,
     )
@@ -212,21 +212,21 @@ async def test_the_state_restored_in_a_recovery_is_reported(monitor: Monitor) ->
     restored = RestoredState(name="/amcl_pose", restored=True, age_seconds=0.75, carried_metres=0.4321)
     recovery = Recovery(id="1", reason="x", result="Recovered", to_pod="w-2", state=[restored])
     monitor.state_manager.report_restored(recovery)
-    status, reason, message = monitor.told.conditions["StateRestored"]
+    status, reason, message = monitor.notices.conditions["StateRestored"]
     assert (status, reason) == ("True", "Restored")
     assert_golden("monitor", message, "w-2", "/amcl_pose", "0.8 s", "0.43 m")
     uncertain = restored.model_copy(
         update={"message": "no /odom was received for 4.0 s of the time over which the pose was propagated"}
     )
     monitor.state_manager.report_restored(recovery.model_copy(update={"state": [uncertain]}))
-    status, reason, message = monitor.told.conditions["StateRestored"]
+    status, reason, message = monitor.notices.conditions["StateRestored"]
     assert (status, reason) == ("True", "Restored")
     assert_golden("monitor", message, "w-2", "/amcl_pose", "0.8 s", "0.43 m", "/odom", "4.0 s")
-    assert not monitor.told.events
+    assert not monitor.notices.events
     missing = RestoredState(
         name="/amcl_pose", restored=True, age_seconds=0.75, message="the pose cannot be propagated by /odom"
     )
     monitor.state_manager.report_restored(recovery.model_copy(update={"state": [missing]}))
     text = "w-2 was given /amcl_pose (0.8 s old). /amcl_pose: the pose cannot be propagated by /odom."
-    assert monitor.told.conditions["StateRestored"] == ("False", "NotCarried", text)
-    assert monitor.told.events == [("Warning", "StateNotCarried", text)]
+    assert monitor.notices.conditions["StateRestored"] == ("False", "NotCarried", text)
+    assert monitor.notices.events == [("Warning", "StateNotCarried", text)]

@@ -11,7 +11,7 @@ import pytest
 
 from tests.support.clock import Clock
 from tests.unit.kube.memory import MemoryClient
-from tests.unit.monitor.abandoned import STANDBY, THIRD, Monitor, begun, monitor_of, written
+from tests.unit.monitor.abandoned import STANDBY, THIRD, Monitor, monitor_of, started_recovery, written
 from understudy.failover.progress import LASTS, beside
 from understudy.kube.gates.base import GateRecord
 from understudy.monitor.act.recovery import abandonment
@@ -31,7 +31,7 @@ def monitor(tmp_path: Path) -> Monitor:
 
 @pytest.fixture
 async def later(monitor: Monitor, tmp_path: Path) -> Monitor:
-    await monitor.gate.commit(STANDBY, begun())
+    await monitor.gate.commit(STANDBY, started_recovery())
     found = monitor.successor(tmp_path / "elsewhere")
     found.notices.set(health="Healthy")
     return found
@@ -43,10 +43,10 @@ async def test_a_recovery_of_another_monitor_ends_after_the_robot_was_driven_lon
     for now in (100.0, 100.0 + LASTS - 0.1):
         clock.now = now
         await later.look()
-        assert later.seen().failing
+        assert later.upstream_state().failing
     clock.now = 100.0 + LASTS
     await later.look()
-    assert not later.seen().failing
+    assert not later.upstream_state().failing
     assert GateRecord.of(later.policy).active == STANDBY.name
 
 
@@ -59,18 +59,18 @@ async def test_a_recovery_of_another_monitor_does_not_end_while_the_robot_is_not
         await later.look()
     later.notices.set(health="Healthy")
     await later.look()
-    assert later.seen().failing, "it counts from when it is healthy again"
+    assert later.upstream_state().failing, "it counts from when it is healthy again"
 
 
 async def test_each_commit_restarts_the_time(monitor: Monitor, later: Monitor, clock: Clock) -> None:
     await later.look()
     clock.now += LASTS - 1
-    await monitor.gate.commit(THIRD, begun(STANDBY))
+    await monitor.gate.commit(THIRD, started_recovery(STANDBY))
     later.watch()
     await later.look()
     clock.now += LASTS - 1
     await later.look()
-    assert later.seen().failing
+    assert later.upstream_state().failing
 
 
 async def test_a_recovery_in_the_status_is_not_changed(later: Monitor, clock: Clock) -> None:
@@ -84,7 +84,7 @@ async def test_a_recovery_in_the_status_is_not_changed(later: Monitor, clock: Cl
 
 
 async def test_a_switchover_of_another_monitor_is_not_ended(monitor: Monitor, later: Monitor, clock: Clock) -> None:
-    switchover = begun(STANDBY).model_copy(update={"switchover": "Failover", "planned": True})
+    switchover = started_recovery(STANDBY).model_copy(update={"switchover": "Failover", "planned": True})
     await monitor.gate.commit(THIRD, switchover)
     later.watch()
     for clock.now in (100.0, 200.0, 300.0):

@@ -28,7 +28,7 @@ class World:
     def __init__(self, folder: Path, **more: Any) -> None:
         self.policy = policy(**more)
         monitor = GivenMonitor(folder)
-        self.told, loop = monitor.notices, monitor.loop
+        self.notices, loop = monitor.notices, monitor.loop
         monitor.objects.put_workload()
         monitor.objects.put_policy(self.policy)
         monitor.objects.put_settings()
@@ -72,8 +72,8 @@ def test_after_a_recovery_the_instance_is_watched_from_the_commit_and_the_cooldo
     world.end("Recovered")
     assert (world.detector.since, world.waits(), world.unattended.since) == (COMMITTED, wait, None)
     assert world.detector.counts_from(NOW, world.policy.monitoring) >= NOW, "what failed before was another instance"
-    assert world.told.conditions["Recovering"][:2] == ("False", "Recovered")
-    assert (world.told.status.health, world.told.status.active) == ("Healthy", "w-1")
+    assert world.notices.conditions["Recovering"][:2] == ("False", "Recovered")
+    assert (world.notices.status.health, world.notices.status.active) == ("Healthy", "w-1")
 
 
 def test_after_a_recovery_without_a_verified_instance_a_backoff_runs(tmp_path: Path) -> None:
@@ -82,22 +82,22 @@ def test_after_a_recovery_without_a_verified_instance_a_backoff_runs(tmp_path: P
     for wait in (BACKOFF_FIRST, 2 * BACKOFF_FIRST):
         world.end("NothingVerified")
         assert (world.detector.since, world.waits(), world.unattended.since) == (NOW, wait, NOW)
-    assert world.told.conditions["Recovering"][:2] == ("False", "NothingVerified")
-    assert world.told.status.health == "Failed"
+    assert world.notices.conditions["Recovering"][:2] == ("False", "NothingVerified")
+    assert world.notices.status.health == "Failed"
 
 
 def test_after_a_superseded_recovery_the_active_instance_is_watched_at_once(tmp_path: Path) -> None:
     world = World(tmp_path)
     world.end("Superseded", error=Superseded("the gate is at epoch 9"))
     assert (world.detector.since, world.waits(), world.unattended.since) == (NOW, 0.0, None)
-    assert world.told.conditions["Recovering"][1] == "Superseded"
+    assert world.notices.conditions["Recovering"][1] == "Superseded"
 
 
 def test_after_an_error_of_the_api_server_the_recovery_is_retried_soon(tmp_path: Path) -> None:
     world = World(tmp_path)
     world.end("Stopped", error=OSError("no route"))
     assert (world.detector.since, world.waits(), world.unattended.since) == (NOW, BACKOFF_FIRST, NOW)
-    assert world.told.conditions["Recovering"][1] == "Error"
+    assert world.notices.conditions["Recovering"][1] == "Error"
 
 
 @pytest.mark.parametrize(
@@ -109,5 +109,5 @@ def test_a_switchover_does_not_end_a_backoff(tmp_path: Path, kind: Kind, since: 
     world.limits.retries.after(5.0)
     world.end(kind)
     assert (world.detector.since, world.waits(), world.unattended.since) == (since, 5.0, None)
-    assert [reason for _, reason, _ in world.told.events] == [event]
-    assert world.told.status.switchover is not None
+    assert [reason for _, reason, _ in world.notices.events] == [event]
+    assert world.notices.status.switchover is not None

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 pytest.importorskip("rclpy")
 
-from tests.unit.dds import keep_to_itself
+from tests.unit.dds import isolate_discovery
 from tests.unit.monitor.cluster_objects import TWIST, ClusterObjects, parsed_spec
 from tests.unit.monitor.senses import GivenGraph
 from understudy.api.kinds.failure_policy import Safety
@@ -126,7 +126,7 @@ class TestUnattended:
 def graphs(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Any, Any]]:
     from understudy.ros.runtime.graph_node import Graph
 
-    keep_to_itself(monkeypatch)
+    isolate_discovery(monkeypatch)
     made = Graph("monitor"), Graph("robot")
     yield made
     for graph in made:
@@ -137,11 +137,11 @@ class Waiting(Unattended):
     """A robot that has waited since a time, or does not wait."""
 
     def __init__(self, since: float | None) -> None:
-        self.begun = since
+        self.waiting_since = since
 
     @property
     def since(self) -> float | None:
-        return self.begun
+        return self.waiting_since
 
 
 def spec(*, reflex: bool = False) -> RobotWorkloadSpec:
@@ -179,7 +179,7 @@ async def test_the_robot_receives_safe_commands_at_their_period_until_an_instanc
         await asyncio.sleep(0.02)
     await asyncio.sleep(0.3)
     assert safe.sent == 0, "somebody drives"
-    waited.begun = started_at = time.time()
+    waited.waiting_since = started_at = time.time()
     commands: list[Any] = []
     while len(commands) < 5:
         assert time.time() < started_at + 20
@@ -187,7 +187,7 @@ async def test_the_robot_receives_safe_commands_at_their_period_until_an_instanc
         commands += received(subscription)
         assert not safe.sent or time.time() >= started_at + 0.2, "not before its time"
     assert {message.linear.x for message in commands} == {-0.1}
-    waited.begun = None
+    waited.waiting_since = None
     await asyncio.sleep(0.1)
     sent = safe.sent
     await asyncio.sleep(0.3)

@@ -16,7 +16,7 @@ pytest.importorskip("rclpy")
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from tests.unit.dds import keep_to_itself
+from tests.unit.dds import isolate_discovery
 from tests.unit.monitor.cluster_objects import ClusterObjects, policy_of, settings_of
 from tests.unit.monitor.monitors import GivenMonitor
 from tests.unit.monitor.senses import GivenSenses
@@ -38,7 +38,7 @@ pytestmark = pytest.mark.ros
 
 @pytest.fixture
 def graph(monkeypatch: pytest.MonkeyPatch) -> Iterator[Graph]:
-    keep_to_itself(monkeypatch)
+    isolate_discovery(monkeypatch)
     made = Graph("keeper")
     yield made
     made.close()
@@ -66,9 +66,9 @@ def say(graph: Graph) -> Callable[[float], None]:
 
 async def test_the_last_healthy_pose_is_kept_and_reported(monitor: Monitor, say: Callable[[float], None]) -> None:
     say(1.0)
-    await monitor.until(lambda: monitor.x() == 1.0 and monitor.told.conditions.get("StateKept"))
-    await monitor.until(lambda: monitor.told.conditions["StateKept"] == ("True", "Kept", "Keeping /amcl_pose."))
-    (status,) = monitor.told.status.kept
+    await monitor.until(lambda: monitor.x() == 1.0 and monitor.notices.conditions.get("StateKept"))
+    await monitor.until(lambda: monitor.notices.conditions["StateKept"] == ("True", "Kept", "Keeping /amcl_pose."))
+    (status,) = monitor.notices.status.kept
     assert (status.name, status.kind, status.message) == ("/amcl_pose", "Topic", "")
     assert status.bytes > 300
     assert status.taken_at
@@ -120,7 +120,7 @@ async def test_kept_state_is_available_to_a_recovery_that_an_earlier_monitor_sta
     await monitor.until(lambda: monitor.x() == 1.0 and (tmp_path / "kept").exists() and StateStore(tmp_path).load())
     onset = time.time()
     later = Monitor(graph, tmp_path)
-    monitored = GivenMonitor(tmp_path, notices=later.told, state_manager=later.state_manager)
+    monitored = GivenMonitor(tmp_path, notices=later.notices, state_manager=later.state_manager)
     monitored.objects.put_workload()
     monitored.objects.put_policy(policy_of(state=STATE.to_wire()))
     monitored.objects.put_settings()
@@ -137,13 +137,13 @@ async def test_kept_state_is_available_to_a_recovery_that_an_earlier_monitor_sta
 
 async def test_a_topic_that_nobody_publishes_is_reported(monitor: Monitor, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pure, "PATIENCE", 0.3)
-    await monitor.until(lambda: monitor.told.conditions.get("StateKept", ("",))[0] == "False")
+    await monitor.until(lambda: monitor.notices.conditions.get("StateKept", ("",))[0] == "False")
     messages = (
         "/amcl_pose: nobody publishes it (state.keep[0] of the policy). State that was never received cannot be restored on "
         "the instance that takes over. Correct the topic's name in the policy, or let the application publish it."
     )
-    assert monitor.told.conditions["StateKept"] == ("False", "NeverCame", messages)
-    assert monitor.told.events == [("Warning", "StateNeverCame", messages)]
+    assert monitor.notices.conditions["StateKept"] == ("False", "NeverCame", messages)
+    assert monitor.notices.events == [("Warning", "StateNeverCame", messages)]
     assert monitor.state_manager.select(time.time()).left_out == (
         NotRestored("/amcl_pose", "nobody publishes it", failed=False),
     )
@@ -151,8 +151,8 @@ async def test_a_topic_that_nobody_publishes_is_reported(monitor: Monitor, monke
 
 async def test_a_type_that_is_not_installed_is_reported_at_once(monitor: Monitor) -> None:
     monitor.state = State.model_validate({"keep": [{"topic": "/plan", "type": "nav2_msgs/msg/Plan"}]})
-    await monitor.until(lambda: "StateKept" in monitor.told.conditions)
-    status, reason, message = monitor.told.conditions["StateKept"]
+    await monitor.until(lambda: "StateKept" in monitor.notices.conditions)
+    status, reason, message = monitor.notices.conditions["StateKept"]
     assert (status, reason) == ("False", "TypeNotInstalled")
     assert_golden("monitor", message, "/plan", "nav2_msgs/msg/Plan")
 
@@ -160,8 +160,8 @@ async def test_a_type_that_is_not_installed_is_reported_at_once(monitor: Monitor
 async def test_state_that_is_too_old_is_reported(monitor: Monitor, say: Callable[[float], None]) -> None:
     monitor.state = State.model_validate({"keep": [{"topic": "/amcl_pose", "maxAge": "500ms"}], "margin": "0s"})
     say(1.0)
-    await monitor.until(lambda: monitor.told.conditions.get("StateKept", ("", ""))[1] == "TooOld")
-    assert "older than maxAge (500ms)" in monitor.told.conditions["StateKept"][2]
+    await monitor.until(lambda: monitor.notices.conditions.get("StateKept", ("", ""))[1] == "TooOld")
+    assert "older than maxAge (500ms)" in monitor.notices.conditions["StateKept"][2]
     (left,) = monitor.state_manager.select(time.time()).left_out
     assert "more than maxAge (500ms)" in left.reason
 
@@ -176,7 +176,7 @@ async def test_a_changed_age_alone_is_written_rarely(monitor: Monitor, say: Call
     await monitor.until(lambda: monitor.x() is not None, each=move)
     end = time.monotonic() + 1.5
     await monitor.until(lambda: time.monotonic() > end, each=move)
-    assert monitor.told.changes <= 6
+    assert monitor.notices.changes <= 6
     assert count[0] > 10
 
 
@@ -197,15 +197,15 @@ async def test_parameters_and_lifecycle_states_are_requested_from_the_agent(moni
 
 async def test_an_agent_that_does_not_answer_is_reported(monitor: Monitor) -> None:
     monitor.state = State.model_validate({"lifecycle": ["/amcl"]})
-    await monitor.until(lambda: monitor.told.conditions.get("StateKept", ("", ""))[1] == "NotAsked")
-    assert_golden("monitor", monitor.told.conditions["StateKept"][2], "/amcl", "state.lifecycle[0]")
+    await monitor.until(lambda: monitor.notices.conditions.get("StateKept", ("", ""))[1] == "NotAsked")
+    assert_golden("monitor", monitor.notices.conditions["StateKept"][2], "/amcl", "state.lifecycle[0]")
 
 
 async def test_a_pod_without_an_agent_is_reported(monitor: Monitor) -> None:
     monitor.state = State.model_validate({"lifecycle": ["/amcl"]})
     monitor.active = Instance("w-1", "uid-1", running=True, has_agent=False)
-    await monitor.until(lambda: monitor.told.conditions.get("StateKept", ("", ""))[1] == "NotAsked")
-    assert "pod w-1 has no agent, because" in monitor.told.conditions["StateKept"][2]
+    await monitor.until(lambda: monitor.notices.conditions.get("StateKept", ("", ""))[1] == "NotAsked")
+    assert "pod w-1 has no agent, because" in monitor.notices.conditions["StateKept"][2]
 
 
 async def test_a_standby_receives_only_changed_state(monitor: Monitor, say: Callable[[float], None]) -> None:
@@ -213,14 +213,14 @@ async def test_a_standby_receives_only_changed_state(monitor: Monitor, say: Call
     monitor.state = STATE.model_copy(update={"lifecycle": ["/amcl"]})
     monitor.agents.answer = {"parameters": {}, "lifecycle": {"/amcl": "active"}, "problems": []}
     say(1.0)
-    await monitor.until(lambda: monitor.agents.given and monitor.state_manager.select(time.time()).lifecycle)
+    await monitor.until(lambda: monitor.agents.restored and monitor.state_manager.select(time.time()).lifecycle)
     end = time.monotonic() + 1.0
     await monitor.until(lambda: time.monotonic() > end)
-    ((name, first),) = monitor.agents.given
+    ((name, first),) = monitor.agents.restored
     assert (name, len(first.samples), first.lifecycle) == ("w-2", 1, ()), "it isn't made to drive before its time"
     say(2.0)
-    await monitor.until(lambda: len(monitor.agents.given) == 2)
-    assert monitor.agents.given[1][1].samples[0].data != first.samples[0].data
+    await monitor.until(lambda: len(monitor.agents.restored) == 2)
+    assert monitor.agents.restored[1][1].samples[0].data != first.samples[0].data
 
 
 async def test_a_standby_that_cannot_be_kept_up_to_date_is_reported_once(
@@ -229,8 +229,8 @@ async def test_a_standby_that_cannot_be_kept_up_to_date_is_reported_once(
     monitor.waiting = [(STANDBY, 0.1)]
     monitor.agents.refusal = "nobody subscribes to /initialpose"
     say(1.0)
-    await monitor.until(lambda: len(monitor.agents.given) > 3)
-    ((level, reason, message),) = monitor.told.events
+    await monitor.until(lambda: len(monitor.agents.restored) > 3)
+    ((level, reason, message),) = monitor.notices.events
     assert (level, reason) == ("Warning", "StandbyNotKeptUp")
     assert_golden("monitor", message, "w-2", "/amcl_pose", "/initialpose")
 
@@ -244,7 +244,7 @@ async def test_standbys_receive_no_state_while_the_workload_is_not_healthy(
     monitor.waiting = [(STANDBY, 0.1)]
     end = time.monotonic() + 0.5
     await monitor.until(lambda: time.monotonic() > end)
-    assert monitor.agents.given == []
+    assert monitor.agents.restored == []
 
 
 async def test_the_state_restored_in_a_recovery_is_reported(monitor: Monitor) -> None:
@@ -254,26 +254,26 @@ async def test_the_state_restored_in_a_recovery_is_reported(monitor: Monitor) ->
     missing = RestoredState(name="/map", restored=False, message="what is kept is 61.0 s old, more than maxAge (1m)")
     recovery = Recovery(id="1", reason="x", result="Recovered", to_pod="w-2", state=[restored])
     monitor.state_manager.report_restored(recovery)
-    assert monitor.told.conditions["StateRestored"] == (
+    assert monitor.notices.conditions["StateRestored"] == (
         "True",
         "Restored",
         "w-2 was given /amcl_pose (0.8 s old).",
     )
-    assert not monitor.told.events
+    assert not monitor.notices.events
     monitor.state_manager.report_restored(recovery.model_copy(update={"state": [restored, missing]}))
-    assert monitor.told.conditions["StateRestored"][:2] == ("False", "NotRestored")
-    ((_, reason, message),) = monitor.told.events
+    assert monitor.notices.conditions["StateRestored"][:2] == ("False", "NotRestored")
+    ((_, reason, message),) = monitor.notices.events
     assert reason == "StateNotRestored"
     assert_golden("monitor", message, "w-2", "/map", "61.0 s", "1m", "state.keep", "restore_state")
-    assert "It received /amcl_pose (0.8 s old)." in monitor.told.conditions["StateRestored"][2]
+    assert "It received /amcl_pose (0.8 s old)." in monitor.notices.conditions["StateRestored"][2]
 
 
 async def test_a_recovery_without_restored_state_withdraws_the_last_report(monitor: Monitor) -> None:
-    monitor.told.condition("StateRestored", "False", "NotRestored", "w-2 was not given ...")
+    monitor.notices.condition("StateRestored", "False", "NotRestored", "w-2 was not given ...")
     monitor.state_manager.report_restored(Recovery(id="2", reason="x", result="Failed"))
-    assert "StateRestored" in monitor.told.conditions
+    assert "StateRestored" in monitor.notices.conditions
     monitor.state_manager.report_restored(Recovery(id="2", reason="x", result="Recovered", to_pod="w-3"))
-    assert "StateRestored" not in monitor.told.conditions
+    assert "StateRestored" not in monitor.notices.conditions
 
 
 @pytest.mark.parametrize("step", [-3600.0, 3600.0])

@@ -47,7 +47,7 @@ class World:
         return [(kind, reason) for kind, reason, message in self.notices.events]
 
     @property
-    def said(self) -> tuple[str, str]:
+    def budget_condition(self) -> tuple[str, str]:
         found = self.notices.status.find("WithinBudget")
         assert found is not None
         return found.status, found.reason
@@ -60,7 +60,7 @@ def world() -> World:
 
 def test_a_healthy_workload_reports_once_that_there_is_budget(world: World) -> None:
     world.spending.report(1000.0)
-    assert world.said == ("True", "Left")
+    assert world.budget_condition == ("True", "Left")
     before = world.notices.changes
     world.spending.report(1001.0)
     assert world.notices.changes == before, "no writes"
@@ -72,7 +72,7 @@ def test_a_spent_budget_is_reported_with_its_end_and_what_to_do(world: World) ->
     assert world.spending.spent_until(1001.0) is None
     world.recover(1060.0)
     assert world.spending.spent_until(1061.0) == 1600.0
-    assert world.said == ("False", "Spent")
+    assert world.budget_condition == ("False", "Spent")
     found = world.notices.status.find("WithinBudget")
     assert found is not None
     assert "2 recoveries within 10m" in found.message
@@ -85,9 +85,9 @@ def test_the_end_of_the_window_is_reported(world: World) -> None:
     for at in (1000.0, 1060.0):
         world.recover(at)
     world.spending.report(1599.0)
-    assert world.said == ("False", "Spent")
+    assert world.budget_condition == ("False", "Spent")
     world.spending.report(1600.0)
-    assert world.said == ("True", "Left")
+    assert world.budget_condition == ("True", "Left")
     assert world.events[-1] == ("Normal", "BudgetLeft")
 
 

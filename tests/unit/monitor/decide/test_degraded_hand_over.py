@@ -219,7 +219,7 @@ def test_a_workload_that_is_well_is_not_switched_over(world: World, tmp_path: Pa
     assert deciding.decide.decide(deciding.policy, judgement, None).decision.trigger is not Trigger.DEGRADED
 
 
-class Looked(Restart):
+class CheckedStrategy(Restart):
     """A strategy whose resources are looked for."""
 
     def __init__(self, takes: float, lacking: str) -> None:
@@ -241,7 +241,7 @@ async def test_a_due_switchover_is_cancelled_if_its_strategy_is_unavailable_or_s
     world: World, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, takes: float, lacking: str, there: bool
 ) -> None:
     monkeypatch.setattr(strategy_options, "CHECK_WITHIN", 0.02)
-    monkeypatch.setattr(strategy_options, "choices", lambda *_: [Choice(Looked(takes, lacking), 5.0)])
+    monkeypatch.setattr(strategy_options, "choices", lambda *_: [Choice(CheckedStrategy(takes, lacking), 5.0)])
     deciding = Deciding(world, tmp_path, strategy=RESTART)
     assert deciding.levels.due is not None
     assert await deciding.decide.confirm() == there

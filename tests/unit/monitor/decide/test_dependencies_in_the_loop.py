@@ -53,13 +53,13 @@ class Planning:
     async def upstream_fails(self) -> None:
         """Have localization fail before."""
         upstream = Upstream(objects=self.objects, dependencies=self.dependencies)
-        await upstream.said("Failed", failing_since=rfc3339(self.now - 1), now=self.now)
+        await upstream.report_health("Failed", failing_since=rfc3339(self.now - 1), now=self.now)
 
     async def upstream_recovers(self) -> None:
         """Have localization be recovered."""
         upstream = Upstream(objects=self.objects, dependencies=self.dependencies)
         over = recovery("r1", onset=self.now - 5, verified=self.now - 1)
-        await upstream.said("Healthy", over, now=self.now)
+        await upstream.report_health("Healthy", over, now=self.now)
 
     async def look(self) -> Resolution:
         """Look once."""

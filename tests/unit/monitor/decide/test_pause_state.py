@@ -39,7 +39,7 @@ class World:
         return [(reason, message) for kind, reason, message in self.notices.events]
 
     @property
-    def said(self) -> tuple[str, str, str] | None:
+    def paused_condition(self) -> tuple[str, str, str] | None:
         found = self.notices.status.find("Paused")
         return (found.status, found.reason, found.message) if found is not None else None
 
@@ -48,8 +48,8 @@ def test_a_pause_is_reported_with_owner_reason_and_end() -> None:
     world = World(GIVEN)
     world.pauses.update(1000.0)
     assert world.pauses.on == GIVEN
-    assert world.said is not None
-    status, reason, message = world.said
+    assert world.paused_condition is not None
+    status, reason, message = world.paused_condition
     assert (status, reason) == ("True", "Maintenance")
     assert_golden("monitor", message, "ann: a new gripper", "1970-01-01 00:20:00")
     assert "understudy resume -n fleet w" in message
@@ -63,8 +63,8 @@ def test_a_pause_ends_at_its_time() -> None:
     world.pauses.update(END)
     assert world.pauses.on is None
     assert world.pauses.ended == END - 0.1
-    assert world.said is not None
-    assert world.said[:2] == ("False", "Over")
+    assert world.paused_condition is not None
+    assert world.paused_condition[:2] == ("False", "Over")
     reason, message = world.events[-1]
     assert reason == "PauseEnded"
     assert_golden("monitor", message, "ann: a new gripper", "1970-01-01 00:20:00 UTC")
@@ -76,7 +76,7 @@ def test_a_pause_ends_when_it_is_removed() -> None:
     world.pause(None)
     world.pauses.update(5000.0)
     assert world.pauses.on is None
-    assert world.said is None
+    assert world.paused_condition is None
     reason, message = world.events[-1]
     assert reason == "PauseEnded"
     assert_golden("monitor", message, "ann: a new gripper", "removed")
@@ -116,8 +116,8 @@ def test_a_changed_pause_is_reported_too() -> None:
     world.pause(Pause(reason="and a new arm", owner="bob"))
     world.pauses.update(1001.0)
     assert [reason for reason, _ in world.events] == ["Paused", "Paused"]
-    assert world.said is not None
-    assert world.said[2].startswith("Paused by bob: and a new arm. ")
+    assert world.paused_condition is not None
+    assert world.paused_condition[2].startswith("Paused by bob: and a new arm. ")
 
 
 @pytest.mark.parametrize(("pause", "reasons"), [(GIVEN, []), (None, [])])
@@ -126,7 +126,7 @@ def test_a_new_monitor_raises_no_second_event_for_a_pause(pause: Pause | None, r
     world.pauses.update(1000.0)
     later = World(pause, world.notices.status.to_wire())
     later.pauses.update(1001.0)
-    assert later.said == (world.said if pause is not None else None)
+    assert later.paused_condition == (world.paused_condition if pause is not None else None)
     assert [reason for reason, _ in later.events] == reasons
 
 
@@ -139,5 +139,5 @@ def test_an_invalid_date_does_not_end_a_pause() -> None:
 def test_a_workload_without_a_pause_has_no_condition_about_it() -> None:
     world = World()
     world.pauses.update(1000.0)
-    assert world.said is None
+    assert world.paused_condition is None
     assert world.notices.changes == 0

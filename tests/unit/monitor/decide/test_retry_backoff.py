@@ -32,13 +32,13 @@ class World:
     """The retries of a workload whose policy has two strategies."""
 
     def __init__(self, **more: Any) -> None:
-        self.told = RecordedNotices()
-        self.objects = ClusterObjects(notices=self.told)
+        self.notices = RecordedNotices()
+        self.objects = ClusterObjects(notices=self.notices)
         self.policy = policy(**more)
         self.objects.put_policy(self.policy)
         self.objects.put_workload()
         self.objects.put_settings()
-        self.retries = RetryBackoff(self.objects.view, self.told)
+        self.retries = RetryBackoff(self.objects.view, self.notices)
         self.retries.update(None, NOW)
 
     def correct(self, what: str) -> None:
@@ -141,11 +141,11 @@ def test_a_backoff_is_reported_after_the_instance_of_every_strategy_failed_at_on
     assert world.first(now + 1) == 1
     world.retries.note(took_over(1, now))
     assert world.first(now + 1) is None
-    status, reason, message = world.told.conditions["Recovering"]
+    status, reason, message = world.notices.conditions["Recovering"]
     assert (status, reason) == ("False", "CrashLooping")
     assert f"{FAILURE}, as soon as it was active" in message
     assert f"again in {BACKOFF_FIRST:g} s" in message
-    assert ("Warning", "CrashLooping") in [(kind, reason) for kind, reason, _ in world.told.events]
+    assert ("Warning", "CrashLooping") in [(kind, reason) for kind, reason, _ in world.notices.events]
     assert world.waits() == BACKOFF_FIRST
     assert world.first(now + 1) == 0, "and then the first one is tried again"
 
@@ -154,7 +154,7 @@ def test_an_instance_that_fails_within_the_healthy_delay_leads_to_the_next_strat
     world, now = World(limits={"healthyDelay": "1m"}), NOW
     world.retries.note(took_over(0, now))
     assert world.first(now + 30) == 1
-    ((kind, reason, message),) = world.told.events
+    ((kind, reason, message),) = world.notices.events
     assert (kind, reason) == ("Warning", "Relapsed")
     assert_golden("monitor", message, "30.0 s", "limits.healthyDelay", "1m")
     world.retries.note(took_over(0, now))

@@ -34,18 +34,18 @@ def world(monkeypatch: pytest.MonkeyPatch) -> World:
 
 def test_a_workload_is_degraded_after_the_debounce_and_well_after_the_clear_time(world: World) -> None:
     assert not world.look(1)
-    assert world.said == ("False", "Well")
+    assert world.condition == ("False", "Well")
     world.observer.well = SLOW
     assert not world.look(1.5)
     assert world.look(1)
-    assert world.said == ("True", "NotWell")
+    assert world.condition == ("True", "NotWell")
     assert sum(isinstance(notice, BecameDegraded) for notice in world.notices.log) == 1
     message = world.notices.conditions["Degraded"][2]
     assert_golden("monitor", message, "/scan", "8.6 Hz", "9 Hz", "2 s", "spec.degraded")
     world.observer.well = HEALTHY
     assert world.look(4.5)
     assert not world.look(1)
-    assert world.said == ("False", "Well")
+    assert world.condition == ("False", "Well")
     assert [(kind, reason) for kind, reason, _ in world.notices.events] == [
         ("Warning", "Degraded"),
         ("Normal", "WellAgain"),
@@ -97,10 +97,10 @@ def test_another_instance_starts_with_an_unknown_level(world: World) -> None:
     world.look(3)
     world.observer.well = UNKNOWN
     assert not world.look(0.5, active=OTHER)
-    assert world.said == ("Unknown", "Starting")
+    assert world.condition == ("Unknown", "Starting")
     world.observer.well = HEALTHY
     assert not world.look(0.5, active=OTHER)
-    assert world.said == ("False", "Well")
+    assert world.condition == ("False", "Well")
 
 
 def test_a_new_monitor_continues_with_the_level_of_its_predecessor(world: World) -> None:
@@ -117,7 +117,7 @@ def test_the_level_of_another_instance_does_not_count(world: World) -> None:
     world.adopt("w-0")
     world.observer.well = UNKNOWN
     assert not world.look(1)
-    assert world.said == ("Unknown", "Starting")
+    assert world.condition == ("Unknown", "Starting")
 
 
 def test_the_condition_is_removed_with_spec_degraded(world: World) -> None:

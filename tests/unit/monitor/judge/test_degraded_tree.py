@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from tests.unit.dds import keep_to_itself
+from tests.unit.dds import isolate_discovery
 from understudy.api.kinds.degraded_spec import InlineTree
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
@@ -111,7 +111,7 @@ def test_an_invalid_idle_tree_is_reported_with_its_path() -> None:
 def test_real_topics_show_degradation_and_an_active_goal(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    keep_to_itself(monkeypatch)
+    isolate_discovery(monkeypatch)
     from action_msgs.msg import GoalStatus, GoalStatusArray
     from rclpy.qos import qos_profile_action_status_default
     from std_msgs.msg import String

@@ -26,7 +26,7 @@ def detector(
     objects.put_pods(*instances)
     objects.put_gate(GateState(epoch=3, active="w-1", active_uid="uid-1"))
     senses = GivenSenses(objects, observer)
-    senses.observer.heard_at = {"w-1": last_output} if last_output is not None else {}
+    senses.observer.received_at = {"w-1": last_output} if last_output is not None else {}
     return FailureDetector(objects.pods, objects.gate, senses.agents, senses.observer)
 
 

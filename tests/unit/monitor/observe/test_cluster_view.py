@@ -18,7 +18,7 @@ GOOD = {"yaml": {"set_lifecycle": {"node": "/nav", "state": "active"}}}
 BROKEN = {"yaml": {"set_lifecycle": {"node": "/nav", "state": "on"}}}
 
 
-class Given:
+class GivenObjects:
     """The objects that people and the operator give, and what a monitor reads in them."""
 
     def __init__(self) -> None:
@@ -57,18 +57,18 @@ class Given:
 
 
 @pytest.fixture
-def given() -> Given:
-    return Given()
+def objects() -> GivenObjects:
+    return GivenObjects()
 
 
 @pytest.fixture
-def view(objects: Given) -> ClusterView:
+def view(objects: GivenObjects) -> ClusterView:
     return objects.view
 
 
 @pytest.mark.parametrize("broken", [{"bringUp": BROKEN}, {"outputs": "none"}])
 def test_an_invalid_spec_leaves_the_last_one_in_force(
-    objects: Given, view: ClusterView, broken: dict[str, Any]
+    objects: GivenObjects, view: ClusterView, broken: dict[str, Any]
 ) -> None:
     objects.workload(bringUp=GOOD)
     before = view.spec
@@ -82,7 +82,7 @@ def test_an_invalid_spec_leaves_the_last_one_in_force(
     assert view.spec is None
 
 
-def test_a_pause_applies_even_if_the_rest_of_the_spec_is_invalid(objects: Given, view: ClusterView) -> None:
+def test_a_pause_applies_even_if_the_rest_of_the_spec_is_invalid(objects: GivenObjects, view: ClusterView) -> None:
     objects.workload(bringUp=GOOD)
     assert view.spec is not None
     objects.workload(bringUp=BROKEN, pause={"reason": "a new gripper", "owner": "ann"})
@@ -91,7 +91,7 @@ def test_a_pause_applies_even_if_the_rest_of_the_spec_is_invalid(objects: Given,
     assert view.spec.bring_up.yaml == GOOD["yaml"]
 
 
-def test_deleted_settings_stay_in_force(objects: Given, view: ClusterView) -> None:
+def test_deleted_settings_stay_in_force(objects: GivenObjects, view: ClusterView) -> None:
     assert view.settings is None
     objects.settings("hot")
     settings = view.settings
@@ -100,7 +100,9 @@ def test_deleted_settings_stay_in_force(objects: Given, view: ClusterView) -> No
     assert view.settings == settings, "without them nothing can be recovered"
 
 
-def test_an_invalid_recovery_procedure_leaves_the_last_policy_in_force(objects: Given, view: ClusterView) -> None:
+def test_an_invalid_recovery_procedure_leaves_the_last_policy_in_force(
+    objects: GivenObjects, view: ClusterView
+) -> None:
     objects.workload()
     objects.policy(recovery=GOOD)
     before = view.policy
@@ -112,14 +114,14 @@ def test_an_invalid_recovery_procedure_leaves_the_last_policy_in_force(objects: 
 
 
 def test_a_new_monitor_uses_the_health_tree_of_a_policy_with_an_invalid_recovery_procedure(
-    objects: Given, view: ClusterView
+    objects: GivenObjects, view: ClusterView
 ) -> None:
     objects.workload()
     objects.policy(recovery=BROKEN)
     assert view.policy is not None
 
 
-def test_a_tree_in_a_config_map_is_used_as_the_operator_read_it(objects: Given, view: ClusterView) -> None:
+def test_a_tree_in_a_config_map_is_used_as_the_operator_read_it(objects: GivenObjects, view: ClusterView) -> None:
     objects.workload()
     objects.policy()
     before = view.policy
@@ -132,7 +134,7 @@ def test_a_tree_in_a_config_map_is_used_as_the_operator_read_it(objects: Given, 
     assert view.policy.monitoring.tree == tree
 
 
-def test_a_bring_up_in_another_language_is_loaded(objects: Given, view: ClusterView) -> None:
+def test_a_bring_up_in_another_language_is_loaded(objects: GivenObjects, view: ClusterView) -> None:
     text = 'import osc.understudy\nscenario up:\n    do set_lifecycle("/nav", lifecycle_state!active)\n'
     objects.workload(bringUp={"osc": text})
     before = view.spec
@@ -144,7 +146,7 @@ def test_a_bring_up_in_another_language_is_loaded(objects: Given, view: ClusterV
 AUTO = {"strategies": [{"type": "Auto"}], "requirements": {"availability": "High"}}
 
 
-def test_automatic_strategies_are_those_that_the_operator_chose(objects: Given, view: ClusterView) -> None:
+def test_automatic_strategies_are_those_that_the_operator_chose(objects: GivenObjects, view: ClusterView) -> None:
     objects.workload()
     objects.policy(AUTO)
     assert view.policy is None, "nothing was chosen yet, and nothing was in force before"
@@ -159,7 +161,7 @@ def test_automatic_strategies_are_those_that_the_operator_chose(objects: Given, 
     assert objects.pools == ["spare"]
 
 
-def test_the_last_strategies_stay_in_force_until_others_are_chosen(objects: Given, view: ClusterView) -> None:
+def test_the_last_strategies_stay_in_force_until_others_are_chosen(objects: GivenObjects, view: ClusterView) -> None:
     objects.workload()
     objects.policy(verifyWithin="9s")
     before = view.policy

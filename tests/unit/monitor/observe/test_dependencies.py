@@ -21,7 +21,7 @@ from understudy.monitor.report.status_writer import QUIET, StatusWriter
 
 async def test_a_failure_is_held_for_a_moment_and_recovered_if_no_dependency_has_failed() -> None:
     world = Upstream()
-    await world.said("Healthy")
+    await world.report_health("Healthy")
     world.dependencies.notice(NOW - 0.5, NOW)
     assert world.dependencies.hold("no /plan for 500 ms", NOW - 0.5, NOW) == pytest.approx(NOW + 0.3)
     assert world.dependencies.hold("no /plan for 500 ms", NOW - 0.5, NOW + 0.31) is None
@@ -30,7 +30,7 @@ async def test_a_failure_is_held_for_a_moment_and_recovered_if_no_dependency_has
 
 async def test_a_failure_is_held_as_soon_as_the_gate_of_the_dependency_shows_its_failure() -> None:
     world = Upstream()
-    await world.said("Healthy")
+    await world.report_health("Healthy")
     world.dependencies.notice(NOW - 0.5, NOW)
     assert world.dependencies.hold("no /plan for 500 ms", NOW - 0.5, NOW) is not None
     world.objects.wakeups.evaluation.clear()
@@ -45,11 +45,11 @@ async def test_a_failure_is_held_as_soon_as_the_gate_of_the_dependency_shows_its
 
 async def test_after_the_settling_time_the_failure_is_acted_on() -> None:
     world = Upstream({"name": "localization"})
-    await world.said("Healthy")
+    await world.report_health("Healthy")
     world.dependencies.notice(NOW - 0.5, NOW)
     await world.committed(recovery("r1", onset=NOW - 0.52, result="Running"), NOW + 0.05)
     world.dependencies.hold("no /plan for 500 ms", NOW - 0.5, NOW + 0.05)
-    await world.said("Healthy", recovery("r1", onset=NOW - 0.52, verified=NOW + 4), now=NOW + 5)
+    await world.report_health("Healthy", recovery("r1", onset=NOW - 0.52, verified=NOW + 4), now=NOW + 5)
     assert world.dependencies.hold("no /plan for 500 ms", NOW - 0.5, NOW + 5) == pytest.approx(NOW + 14)
     assert world.condition()[:2] == ("True", "Settling")
     assert world.dependencies.hold("no /plan for 500 ms", NOW - 0.5, NOW + 14.1) is None
@@ -59,7 +59,7 @@ async def test_after_the_settling_time_the_failure_is_acted_on() -> None:
 
 async def test_the_message_of_a_held_failure_does_not_change_with_its_figures() -> None:
     world = Upstream()
-    await world.said("Failed", failing_since=rfc3339(NOW - 1))
+    await world.report_health("Failed", failing_since=rfc3339(NOW - 1))
     world.dependencies.notice(NOW - 0.5, NOW)
     for rate in ("3.9", "3.7"):
         world.dependencies.hold(f"/plan at {rate} Hz, below 5 Hz over 2 s", NOW - 0.5, NOW + 1)
@@ -68,7 +68,7 @@ async def test_the_message_of_a_held_failure_does_not_change_with_its_figures() 
 
 async def test_a_failure_that_ends_is_no_longer_held() -> None:
     world = Upstream()
-    await world.said("Failed", failing_since=rfc3339(NOW - 1))
+    await world.report_health("Failed", failing_since=rfc3339(NOW - 1))
     world.dependencies.notice(NOW - 0.5, NOW)
     assert world.dependencies.hold("no /plan for 500 ms", NOW - 0.5, NOW) is not None
     world.dependencies.well("planning-1")
@@ -77,7 +77,7 @@ async def test_a_failure_that_ends_is_no_longer_held() -> None:
 
 async def test_a_failure_that_precedes_that_of_the_dependency_is_not_held() -> None:
     world = Upstream()
-    await world.said("Failed", failing_since=rfc3339(NOW - 1))
+    await world.report_health("Failed", failing_since=rfc3339(NOW - 1))
     world.dependencies.notice(NOW - 2, NOW - 1.5)
     assert world.dependencies.hold("no /plan for 500 ms", NOW - 2, NOW) is None
 
@@ -103,7 +103,7 @@ async def test_a_failure_is_written_to_the_status_at_once_for_dependent_workload
 
 async def test_without_dependencies_nothing_is_watched_reported_or_held() -> None:
     world = Upstream()
-    await world.said("Failed", failing_since=rfc3339(NOW - 1))
+    await world.report_health("Failed", failing_since=rfc3339(NOW - 1))
     world.dependencies.follow(settings_of("planning"))
     world.dependencies.update(NOW)
     world.dependencies.notice(NOW, NOW)
@@ -133,22 +133,22 @@ class TestBetweenMonitors:
         world = Upstream()
         client = world.objects.client
         switch = await gate(client, view(client, "localization"), tmp_path)
-        await world.said("Healthy")
+        await world.report_health("Healthy")
         world.dependencies.notice(NOW - 0.5, NOW)
         await switch.commit(None, recovery("r1", onset=NOW - 0.52, result="Running"))
-        await world.seen(NOW + 0.05)
+        await world.take_in(NOW + 0.05)
         world.dependencies.hold("no /plan for 500 ms", NOW - 0.5, NOW + 0.05)
         assert world.condition()[:2] == ("True", "Held")
 
     async def test_the_record_of_a_recovery_leads_to_a_reaction_of_dependents(self) -> None:
         first, world = RecordedNotices(), Upstream(adopted="")
         first.set(health="Recovering", failing_since=NOW - 5)
-        await world.told(first)
+        await world.write_status(first)
         assert world.dependencies.hold("no /plan for 500 ms", NOW - 4, NOW) is not None
         assert world.dependencies.due(active(), NOW) is None, "not before it is over"
         first.record(recovery("r1", onset=NOW - 5, verified=NOW - 1))
         first.set(health="Healthy")
-        await world.told(first)
+        await world.write_status(first)
         found = world.dependencies.due(active(), NOW)
         assert found is not None
         assert (found.follows[0].recovery, found.since) == ("r1", pytest.approx(NOW - 1))
@@ -156,10 +156,10 @@ class TestBetweenMonitors:
     async def test_a_held_failure_holds_those_of_dependents_too(self) -> None:
         """Of a chain the middle one commits nothing: its status has to tell."""
         middle, last = Upstream(), Upstream()
-        await middle.said("Failed", failing_since=rfc3339(NOW - 1))
+        await middle.report_health("Failed", failing_since=rfc3339(NOW - 1))
         middle.notices.set(health="Failed")
         middle.dependencies.notice(NOW - 0.7, NOW)
-        await last.told(middle.notices)
+        await last.write_status(middle.notices)
         last.dependencies.notice(NOW - 0.4, NOW + 0.1)
         last.dependencies.hold("no /cmd_vel for 500 ms", NOW - 0.4, NOW + 0.1)
         assert last.condition()[:2] == ("True", "Held")

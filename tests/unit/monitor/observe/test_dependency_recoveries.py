@@ -18,14 +18,14 @@ COSTMAP = {"yaml": {"call_service": {"service": "/costmap/clear", "type": "std_s
 class TestAfterARecovery:
     async def test_a_recovery_from_before_the_first_observation_causes_no_reaction(self) -> None:
         world = Upstream()
-        await world.said("Healthy", recovery("r1", onset=NOW - 60, verified=NOW - 50))
+        await world.report_health("Healthy", recovery("r1", onset=NOW - 60, verified=NOW - 50))
         assert world.dependencies.due(active(), NOW) is None
         assert world.notices.status.followed == (DependencyRecovery(name="localization", recovery="r1"),)
 
     async def test_a_new_recovery_causes_one_reaction(self) -> None:
         world = Upstream()
-        await world.said("Healthy")
-        await world.said("Healthy", recovery("r1", onset=NOW - 5, verified=NOW - 1))
+        await world.report_health("Healthy")
+        await world.report_health("Healthy", recovery("r1", onset=NOW - 5, verified=NOW - 1))
         found = world.dependencies.due(active(), NOW)
         assert found is not None
         world.dependencies.note(found.follows)
@@ -35,7 +35,7 @@ class TestAfterARecovery:
     async def test_a_new_monitor_continues_from_the_recoveries_in_the_status(self) -> None:
         done, left = Upstream(adopted="r1"), Upstream(adopted="r0")
         for world in (done, left):
-            await world.said("Healthy", recovery("r1", onset=NOW - 5, verified=NOW - 1))
+            await world.report_health("Healthy", recovery("r1", onset=NOW - 5, verified=NOW - 1))
         assert done.dependencies.due(active(), NOW) is None
         assert left.dependencies.due(active(), NOW) is not None
 
@@ -47,26 +47,26 @@ class TestAfterARecovery:
 
     async def test_an_instance_that_started_after_the_recovery_needs_no_reaction(self) -> None:
         world = Upstream(adopted="r0")
-        await world.said("Healthy", recovery("r1", onset=NOW - 5, verified=NOW - 3))
+        await world.report_health("Healthy", recovery("r1", onset=NOW - 5, verified=NOW - 3))
         assert world.dependencies.due(active(created=NOW - 1), NOW) is None
         assert world.notices.status.followed[0].recovery == "r1"
 
     async def test_without_an_action_the_recovery_counts_as_handled_at_once(self) -> None:
         world = Upstream({"name": "localization"}, adopted="r0")
-        await world.said("Healthy", recovery("r1", onset=NOW - 5, verified=NOW - 3))
+        await world.report_health("Healthy", recovery("r1", onset=NOW - 5, verified=NOW - 3))
         assert world.dependencies.due(active(), NOW) is None
         assert world.notices.status.followed[0].recovery == "r1"
 
     async def test_a_procedure_that_needs_an_agent_is_reported_if_there_is_none(self) -> None:
         world = Upstream(adopted="r0")
-        await world.said("Healthy", recovery("r1", onset=NOW - 5, verified=NOW - 3))
+        await world.report_health("Healthy", recovery("r1", onset=NOW - 5, verified=NOW - 3))
         assert world.dependencies.due(active(agent=False), NOW) is None
         (event,) = world.notices.events
         assert event[1] == "NoAgent"
 
     async def test_a_pod_without_an_agent_can_still_be_restarted(self) -> None:
         world = Upstream({"name": "localization", "onRecovery": "Restart"}, adopted="r0")
-        await world.said("Healthy", recovery("r1", onset=NOW - 5, verified=NOW - 3))
+        await world.report_health("Healthy", recovery("r1", onset=NOW - 5, verified=NOW - 3))
         assert world.dependencies.due(active(agent=False), NOW) is not None
 
 

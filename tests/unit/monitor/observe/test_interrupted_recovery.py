@@ -18,11 +18,11 @@ from understudy.monitor.notices import PublishedStatus
 from understudy.monitor.observe.objects.interrupted_recovery import concluded, interrupted
 
 
-def begun(at: float) -> Progress:
+def started_recovery(at: float) -> Progress:
     return Progress.begin("it ended", last_healthy=at - 1, detected=at)
 
 
-class Left:
+class EarlierMonitor:
     """What an earlier monitor has left in the journal, at the gate and in the status."""
 
     def __init__(self, folder: Path) -> None:
@@ -48,12 +48,12 @@ class Left:
 
 
 @pytest.fixture
-def left(tmp_path: Path) -> Left:
-    return Left(tmp_path)
+def left(tmp_path: Path) -> EarlierMonitor:
+    return EarlierMonitor(tmp_path)
 
 
-def test_an_unrecorded_recovery_continues_from_the_journal(left: Left) -> None:
-    committed = begun(100.0)
+def test_an_unrecorded_recovery_continues_from_the_journal(left: EarlierMonitor) -> None:
+    committed = started_recovery(100.0)
     saved = committed.model_copy(update={"index": 1})
     for journal, index in ((saved, 1), (None, 0)):
         progress = left.found(journal, committed)
@@ -62,8 +62,8 @@ def test_an_unrecorded_recovery_continues_from_the_journal(left: Left) -> None:
         assert not committed.resumed, "it is a copy"
 
 
-def test_the_newer_recovery_of_journal_and_gate_continues(left: Left) -> None:
-    older, newer = begun(100.0), begun(200.0)
+def test_the_newer_recovery_of_journal_and_gate_continues(left: EarlierMonitor) -> None:
+    older, newer = started_recovery(100.0), started_recovery(200.0)
     progress = left.found(older, newer)
     assert progress is not None
     assert progress.id == newer.id
@@ -72,17 +72,17 @@ def test_the_newer_recovery_of_journal_and_gate_continues(left: Left) -> None:
     assert progress.id == newer.id, "it hadn't come to the gate yet"
 
 
-def test_an_abandoned_recovery_does_not_continue_after_a_later_one_ended(left: Left) -> None:
-    given_up, done = begun(100.0), begun(200.0)
+def test_an_abandoned_recovery_does_not_continue_after_a_later_one_ended(left: EarlierMonitor) -> None:
+    given_up, done = started_recovery(100.0), started_recovery(200.0)
     assert left.found(given_up, done, recorded=[done]) is None
     ended = given_up.model_copy(update={"result": "Failed"})
     assert left.found(given_up, ended) is None, "somebody was put in control since"
 
 
 def test_an_abandoned_recovery_at_the_gate_does_not_continue_and_a_later_one_does(
-    left: Left,
+    left: EarlierMonitor,
 ) -> None:
-    stopped, later = begun(100.0), begun(200.0)
+    stopped, later = started_recovery(100.0), started_recovery(200.0)
     assert left.found(None, stopped, given_up=[stopped]) is None
     assert left.found(stopped, stopped, given_up=[stopped]) is None
     progress = left.found(later, stopped, given_up=[stopped])
@@ -90,8 +90,8 @@ def test_an_abandoned_recovery_at_the_gate_does_not_continue_and_a_later_one_doe
     assert progress.id == later.id, "it hadn't come to the gate yet"
 
 
-def test_a_recovery_that_was_recorded_or_failed_does_not_continue(left: Left) -> None:
-    done, failed = begun(100.0), begun(200.0).model_copy(update={"result": "Failed"})
+def test_a_recovery_that_was_recorded_or_failed_does_not_continue(left: EarlierMonitor) -> None:
+    done, failed = started_recovery(100.0), started_recovery(200.0).model_copy(update={"result": "Failed"})
     assert left.found(done, failed, recorded=[done]) is None
     assert left.found(None, None) is None
 

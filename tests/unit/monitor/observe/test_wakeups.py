@@ -16,7 +16,7 @@ from understudy.monitor.observe.wakeups import APART, STALL_MOST, STALLED, Evalu
 FAR = 60.0
 
 
-class Told:
+class ScriptedArrivals:
     """Arrivals as they are on a robot, told by the test."""
 
     def __init__(self, asked: bool = True) -> None:
@@ -32,8 +32,8 @@ class Told:
 
 
 @pytest.fixture
-def arrivals() -> Iterator[Told]:
-    scripted = Told()
+def arrivals() -> Iterator[ScriptedArrivals]:
+    scripted = ScriptedArrivals()
     yield scripted
     os.close(scripted.descriptor)
 
@@ -88,7 +88,7 @@ async def test_a_wait_that_ended_by_its_deadline_leaves_no_wakeup_behind(arrival
     waiting.cancel()
 
 
-@pytest.mark.parametrize("arrivals", [None, Told(asked=False)])
+@pytest.mark.parametrize("arrivals", [None, ScriptedArrivals(asked=False)])
 async def test_without_topics_that_need_wakeups_messages_do_not_end_the_wait(arrivals) -> None:
     wakeups = Wakeups()
     schedule = EvaluationSchedule(wakeups, arrivals)

@@ -16,7 +16,7 @@ pytest.importorskip("rclpy")
 
 from mcap.reader import make_reader
 
-from tests.unit.dds import keep_to_itself
+from tests.unit.dds import isolate_discovery
 from tests.unit.monitor.recorded import Monitored, policy
 from understudy.api.kinds.recording_spec import Recordings
 from understudy.monitor.report import black_box as module
@@ -27,7 +27,7 @@ pytestmark = pytest.mark.ros
 
 @pytest.fixture
 def made(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Monitored]:
-    keep_to_itself(monkeypatch)
+    isolate_discovery(monkeypatch)
     monkeypatch.setattr(module, "AFTER", 0.3)
     monitored = Monitored(tmp_path / "recordings")
     yield monitored
@@ -92,12 +92,12 @@ async def test_a_repeated_failure_is_recorded_once(monitored: Monitored) -> None
     first = monitored.fail()
     first.result = "Failed"
     monitored.box.end(first)
-    monitored.said.record(first)
+    monitored.notices.record(first)
     await monitored.recorded()
     again = monitored.fail()
     again.result = "Failed"
     monitored.box.end(again)
-    monitored.said.record(again)
+    monitored.notices.record(again)
     await monitored.look(0.8)
     assert [one.id for one in monitored.archive.recordings] == [first.id]
 
@@ -131,8 +131,8 @@ async def test_an_unwritable_disk_is_reported_once_and_the_next_recording_succee
     for _ in range(2):
         monitored.recovered(monitored.fail())
         await monitored.look(0.8)
-    assert [event[:2] for event in monitored.said.events] == [("Warning", "NotRecorded")]
-    assert "recovery 1 is not recorded: " in monitored.said.events[0][2]
+    assert [event[:2] for event in monitored.notices.events] == [("Warning", "NotRecorded")]
+    assert "recovery 1 is not recorded: " in monitored.notices.events[0][2]
     (tmp_path / "recordings").unlink()
     monitored.recovered(monitored.fail())
     await monitored.recorded()

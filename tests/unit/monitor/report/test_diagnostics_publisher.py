@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from tests.support.golden import assert_golden
-from tests.unit.dds import keep_to_itself
+from tests.unit.dds import isolate_discovery
 from tests.unit.monitor.cluster_objects import ClusterObjects
 from tests.unit.monitor.diagnosed import TREE
 from tests.unit.monitor.senses import GivenObserver
@@ -30,7 +30,7 @@ pytestmark = pytest.mark.ros
 def graph(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     from understudy.ros.runtime.graph_node import Graph
 
-    keep_to_itself(monkeypatch)
+    isolate_discovery(monkeypatch)
     made = Graph("understudy_monitor")
     yield made
     made.close()

@@ -25,7 +25,7 @@ def notices() -> Notices:
     return made
 
 
-def told(notices: Notices, more: Details = MORE) -> Status:
+def diagnostics(notices: Notices, more: Details = MORE) -> Status:
     return status("fleet", "robot-1-drive", workload_state(notices.status, 100.0), notices.status, more)
 
 
@@ -34,7 +34,7 @@ def test_every_health_has_a_level() -> None:
 
 
 def test_a_healthy_workload_reports_its_active_instance_and_standby(notices: Notices) -> None:
-    found = told(notices)
+    found = diagnostics(notices)
     assert (found.level, found.name, found.hardware) == (0, "understudy: robot-1-drive", "fleet/robot-1-drive")
     assert found.message == "w-1 is in control"
     assert dict(found.values) == {
@@ -73,14 +73,14 @@ def test_the_message_is_the_reason_for_the_health(
     if condition is not None:
         notices.condition(*condition)
     notices.set(health=health)
-    found = told(notices)
+    found = diagnostics(notices)
     assert (found.level, found.message) == (level, message)
 
 
 def test_the_reason_for_an_earlier_instance_is_not_repeated(notices: Notices) -> None:
     notices.condition("Healthy", "False", "Failed", "no /scan for 1 s")
     notices.set(active="", health="Starting")
-    assert told(notices).message == "no instance has been healthy yet"
+    assert diagnostics(notices).message == "no instance has been healthy yet"
 
 
 def test_the_last_recovery_is_reported_with_its_times() -> None:
@@ -91,7 +91,7 @@ def test_the_last_recovery_is_reported_with_its_times() -> None:
         )  # fmt: skip
     notices = Notices(PublishedStatus(recoveries=(last,), count=3))
     notices.set(active="w-1", health="Healthy")
-    values = dict(told(notices).values)
+    values = dict(diagnostics(notices).values)
     assert {key: value for key, value in values.items() if key.startswith("last recovery")} == {
         "last recovery": "Recovered by Fallback/Executing",
         "last recovery: reason": "no /cmd_vel for 500 ms",
@@ -107,7 +107,7 @@ def test_the_last_recovery_is_reported_with_its_times() -> None:
 def test_long_texts_are_cut(notices: Notices) -> None:
     notices.condition("Recovering", "False", "NothingVerified", "tried\nin vain " * 200)
     notices.set(health="Failed")
-    found = told(notices)
+    found = diagnostics(notices)
     assert len(found.message) == LONGEST
     assert "\n" not in found.message
     assert found.message.endswith("...")

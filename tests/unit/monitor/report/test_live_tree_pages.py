@@ -69,7 +69,7 @@ def test_the_state_in_json_is_complete() -> None:
     ]
 
 
-async def seen(pages: dict[str, Callable[[], Answer]], folder: Path, *more: str) -> str:
+async def browser_document(pages: dict[str, Callable[[], Answer]], folder: Path, *more: str) -> str:
     """The page's document after some seconds of a browser's time."""
     browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if browser is None:
@@ -104,7 +104,7 @@ async def test_a_browser_draws_the_tree_with_its_states_and_reasons(tmp_path: Pa
         state["tree"]["children"][0]["received"] = 10 * looks
         return 200, json.dumps(state), "application/json"
 
-    document = await seen({"/": shown.page, "/tree": tree}, tmp_path)
+    document = await browser_document({"/": shown.page, "/tree": tree}, tmp_path)
     assert looks >= 3, "it looks again and again"
     assert "<title>robot-1-drive: Failed</title>" in document
     text = re.sub(r"<[^>]+>", " ", document.partition("<main>")[2].partition("<script>")[0])
@@ -125,5 +125,5 @@ async def test_a_browser_draws_the_tree_with_its_states_and_reasons(tmp_path: Pa
 
 async def test_the_page_reports_that_the_monitor_does_not_answer(tmp_path: Path) -> None:
     shown = showing(2.0)
-    document = await seen({"/": shown.page, "/tree": lambda: (503, "no")}, tmp_path)
+    document = await browser_document({"/": shown.page, "/tree": lambda: (503, "no")}, tmp_path)
     assert_golden("monitor", re.findall(r"the monitor can't be reached: [^<]*", document), "can't be reached")

@@ -138,7 +138,7 @@ class Applied(Client):
         assert found is not None
         return found
 
-    async def say_by(self, manager: str, status: Object) -> None:
+    async def write_status_by(self, manager: str, status: Object) -> None:
         body = {"metadata": {"name": "w", "namespace": "fleet"}, "status": status}
         path = "/apis/understudy.dev/v1alpha1/namespaces/fleet/robotworkloads/w/status"
         self.server.request("PATCH", path, {"fieldManager": manager}, body, "application/apply-patch+yaml", manager)
@@ -223,7 +223,7 @@ async def test_an_unchanged_status_is_not_written_again() -> None:
     assert api.writes == 2
     for item in (earlier, api.item):  # its own writes, late and in time
         await looked(living, item)
-    await api.say_by("understudy-operator", {"standby": "Executing 1/1", "conditions": []})
+    await api.write_status_by("understudy-operator", {"standby": "Executing 1/1", "conditions": []})
     accepted = {
         "type": "Accepted",
         "status": "True",
@@ -231,7 +231,7 @@ async def test_an_unchanged_status_is_not_written_again() -> None:
         "lastTransitionTime": "2026-01-01T00:00:00Z",
     }
     await looked(living, api.item)
-    await api.say_by("understudy-operator", {"standby": "Executing 0/1", "conditions": [accepted]})
+    await api.write_status_by("understudy-operator", {"standby": "Executing 0/1", "conditions": [accepted]})
     await looked(living, api.item)
     assert api.writes == 2
 
@@ -247,7 +247,7 @@ async def test_a_status_that_the_api_server_pruned_is_not_repaired_for_ever() ->
 
     api.server.request = pruning  # type: ignore[method-assign]
     await recovered(living)
-    await api.say_by("understudy-operator", {"standby": "Executing 1/1", "conditions": []})
+    await api.write_status_by("understudy-operator", {"standby": "Executing 1/1", "conditions": []})
     await looked(living, api.item)
     assert api.writes == 1
 

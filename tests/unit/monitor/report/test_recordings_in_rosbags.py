@@ -29,7 +29,7 @@ from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefiniti
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from tests.unit.dds import keep_to_itself
+from tests.unit.dds import isolate_discovery
 from tests.unit.monitor.recorded import Monitored
 from understudy.monitor.report import black_box as module
 from understudy.ros.runtime.interface_types import message_class
@@ -47,7 +47,7 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 @pytest.fixture
 async def recorded(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """A recording of a failure of a node whose last command is latched."""
-    keep_to_itself(monkeypatch)
+    isolate_discovery(monkeypatch)
     monkeypatch.setattr(module, "AFTER", 0.3)
     monitored = Monitored(tmp_path / "recordings")
     node = monitored.observer.graph.node
@@ -107,16 +107,18 @@ def test_the_recorded_definitions_are_sufficient_to_read_every_message(bag: Read
         store.register({**get_types_from_msg(one.msgdef.data, one.msgtype)})
     for one, _, data in bag.messages():
         read = store.deserialize_cdr(data, one.msgtype)
-        assert said(read) == said(deserialize_message(data, message_class(one.msgtype))), "as ROS's own types read it"
+        assert contents(read) == contents(deserialize_message(data, message_class(one.msgtype))), (
+            "as ROS's own types read it"
+        )
 
 
-def said(message: Any) -> Any:
+def contents(message: Any) -> Any:
     """A message without its class, whoever read it."""
     if hasattr(message, "get_fields_and_field_types"):
-        return {name: said(getattr(message, name)) for name in message.get_fields_and_field_types()}
+        return {name: contents(getattr(message, name)) for name in message.get_fields_and_field_types()}
     if dataclasses.is_dataclass(message):
         names = [field.name for field in dataclasses.fields(message)]
-        return {name: said(getattr(message, name)) for name in names if name[0].islower()}  # and no constants
+        return {name: contents(getattr(message, name)) for name in names if name[0].islower()}  # and no constants
     return message
 
 
