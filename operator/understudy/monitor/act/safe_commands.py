@@ -1,4 +1,4 @@
-"""Sends the policy's safe commands to the robot while no instance is verified to be in control (DESIGN: safety focus).
+"""Sends the policy's safe commands to the robot while no instance is verified to be in control (docs/safety.md).
 
 The monitor is not an instance, so the gate lets it through. Its commands begin after the failed instance was fenced,
 and end with the first output of the next one. After the gate opens for an instance, the commands wait for
