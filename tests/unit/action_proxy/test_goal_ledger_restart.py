@@ -61,7 +61,7 @@ class TestRestart:
         assert world.instances["b"].starts == [goal]
 
 
-class TestWithoutTheJournal:
+class TestMissingJournal:
     """As when the monitor's pod is on another node now: what the instance in control kept is taken up."""
 
     def test_goals_are_adopted_from_the_active_instance(self, world: World) -> None:
@@ -81,7 +81,7 @@ class TestWithoutTheJournal:
         world.end("b", goal)
         assert world.results == {goal: (SUCCEEDED, "b")}
 
-    def test_a_goal_that_ended_meanwhile_is_reported_and_never_sent_again(self, world: World) -> None:
+    def test_a_goal_that_ended_during_the_restart_is_reported_and_not_sent_again(self, world: World) -> None:
         goal = world.ask()
         world.want(goal)
         note = world.ledger.orders("a")[0].note

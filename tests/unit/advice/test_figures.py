@@ -61,7 +61,7 @@ def test_a_strategy_that_was_not_available_took_no_time():
     )
 
 
-def test_an_unmeasured_time_is_the_published_one_and_marked_so():
+def test_an_unmeasured_time_is_the_published_one_and_marked_as_published():
     known = Figures(measured_seconds={"Restart": Figure(1.5, "measured 4 times")})
     assert (known.seconds("Restart").value, known.seconds("Restart").source) == (1.5, "measured 4 times")
     assert (known.seconds("Executing").value, known.seconds("Executing").source) == (0.05, "published")

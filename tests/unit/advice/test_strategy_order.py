@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.golden import assert_golden
-from tests.unit.advice.given import LEVELS, WAYS, figures, levels, pools, requirements
+from tests.unit.advice.example_inputs import LEVELS, WAYS, figures, levels, pools, requirements
 from understudy.advice.order_explanation import explain, one_line, unmet_requirements
 from understudy.advice.strategy_figures import Figure, Figures
 from understudy.advice.strategy_order import NEGLIGIBLE, Candidate, Order, effective_resource_usage, order_strategies

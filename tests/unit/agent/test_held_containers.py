@@ -97,7 +97,7 @@ def test_a_held_container_starts_within_half_a_second(hold, tmp_path):
     assert time.monotonic() - started_at < 0.5
 
 
-def test_waiting_costs_nothing(hold, tmp_path):
+def test_a_held_container_uses_no_cpu_time(hold, tmp_path):
     process = hold(["true"])
     wait_until((tmp_path / "waiting-app").exists)
 

@@ -33,7 +33,7 @@ def test_each_health_is_explained_by_a_condition(health: str, words: str) -> Non
     assert why(health, "a", ALL) == words
 
 
-def test_conditions_of_the_past_and_of_another_instance_explain_nothing() -> None:
+def test_past_conditions_and_those_of_another_instance_do_not_explain_the_health() -> None:
     past = [reported("Recovering", "False", "Recovered"), reported("Healthy", "False", "Failed")]
     assert why("Failed", "a", past) == "Healthy: Failed"
     assert why("Failed", "", past) == "it has failed"

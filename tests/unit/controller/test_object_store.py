@@ -161,7 +161,7 @@ class TestChangeIndex:
         found = self.keys(ObservedChange(PODS, None, held_pod("spare-a", of=spare())))
         assert found == {("fallbackpools", "spare"), ("robotworkloads", "w")}
 
-    def test_an_unclaimed_pod_beside_others_reconciles_only_its_pool(self) -> None:
+    def test_one_of_several_unclaimed_pods_reconciles_only_its_pool(self) -> None:
         """Or a fleet's workloads would all be looked at with each claim, and with each step of a pod that comes up."""
         store, pool = self.store(), spare()
         first = ObservedChange(PODS, None, held_pod("spare-a", of=pool))

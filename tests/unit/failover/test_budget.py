@@ -8,7 +8,7 @@ from understudy.failover.progress import Progress
 WINDOW = 100.0
 
 
-def test_the_budget_reports_what_is_left_and_when_the_next_recovery_may_begin() -> None:
+def test_the_budget_reports_the_remaining_recoveries_and_the_next_possible_start() -> None:
     assert left([], 1000.0, recoveries=2, within=WINDOW) == 2
     assert left([950.0], 1000.0, recoveries=2, within=WINDOW) == 1
     assert free_from([950.0], recoveries=2, within=WINDOW) <= 1000.0

@@ -74,7 +74,7 @@ def beside(**moments: float) -> Progress:
     return progress
 
 
-class TestUnderWay:
+class TestRecoveryInProgress:
     """A status contains the recovery of its gate once the recovery is over, or takes long."""
 
     def test_a_recovery_that_is_only_at_the_gate_is_under_way(self) -> None:

@@ -32,11 +32,11 @@ def detected(active: list[float], standby: list[float], now: float) -> tuple[flo
     return switched(active, standby, deadline=DEADLINE, now=now)
 
 
-def test_a_standby_that_is_heard_after_the_deadline_drives() -> None:
+def test_a_standby_whose_output_arrives_after_the_deadline_drives() -> None:
     assert detected(every(0.05, 1, 2), [2.13], 2.14) == (2.0, 2.13)
 
 
-def test_while_the_active_instance_is_heard_no_standby_drives() -> None:
+def test_no_standby_drives_while_output_of_the_active_instance_arrives() -> None:
     assert detected(every(0.05, 1, 2), [], 2.3) is None, "silence alone is the health tree's business"
     assert detected(every(0.05, 1, 2), [0.9], 2.01) is None, "what was before its last output"
     assert detected([*every(0.05, 1, 2), 2.14], [2.12], 2.2) is None, "it was late once and took the robot back"
@@ -52,7 +52,7 @@ def test_a_standby_that_is_first_after_a_pause_drives_only_after_a_deadline() ->
     assert detected(every(0.05, 1, 2), [9.0, 9.05], 9.11) == (2.0, 9.0)
 
 
-def test_no_standby_drives_before_the_active_instance_was_heard() -> None:
+def test_no_standby_drives_before_the_first_output_of_the_active_instance() -> None:
     assert detected([], every(0.05, 5, 9), 9.01) is None, "a monitor that starts may discover the standby first"
 
 

@@ -192,7 +192,7 @@ class Crashing(Reflexive):
         self.later(4.0, self.mine.hang, standby, 1.0)
 
 
-def test_a_restarted_container_of_a_replaced_instance_that_is_heard_is_detected() -> None:
+def test_output_of_a_restarted_container_of_a_replaced_instance_is_detected() -> None:
     with mock.patch.object(WriterStrengths, "give_way"):
         assert found("after it gave way", ALONE, "crash", kind=Crashing)
 

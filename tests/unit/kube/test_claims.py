@@ -79,7 +79,7 @@ async def test_a_pod_is_claimed_once_although_the_answer_is_lost(
 
 
 @pytest.mark.parametrize("outcome", [whole, by_name])
-async def test_a_pod_that_another_workload_claimed_meanwhile_is_not_ours(
+async def test_a_pod_that_another_workload_claims_during_our_request_is_not_ours(
     outcome: Callable[[Object], Object],
 ) -> None:
     client = Lossy((TimeoutError(), False))

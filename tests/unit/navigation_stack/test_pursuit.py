@@ -73,7 +73,7 @@ def test_the_robot_stops_before_an_obstacle_and_continues_when_it_is_removed() -
     assert pursuit.command(pose, NOTHING, PERIOD).linear > 0
 
 
-def test_a_wall_beside_the_robot_does_not_stop_it() -> None:
+def test_a_wall_at_the_side_of_the_robot_does_not_stop_it() -> None:
     pursuit = Pursuit()
     pursuit.follow(STRAIGHT)
     wall = np.array([[x, 0.25] for x in np.linspace(-2, 2, 81)], np.float32)

@@ -264,7 +264,7 @@ def test_a_motion_is_unchanged_by_encoding_and_decoding() -> None:
         assert KeptSample.from_wire(sample.to_wire()) == sample
 
 
-def test_a_recovery_records_the_propagated_distance_and_what_was_not_propagated() -> None:
+def test_a_recovery_records_the_propagated_distance_and_poses_that_were_not_propagated() -> None:
     report = RestoreReport(
         (Restored("/amcl_pose", 98.5, 0.43219), Restored("/dock", 99.0, None, "it can't be carried"))
     )

@@ -99,7 +99,7 @@ def test_any_calibration_file_is_used_or_refused_with_a_message(key: str, value:
     assert message.startswith("a.yaml")
 
 
-def test_the_calibration_beside_the_configuration_is_checked_with_it(
+def test_a_calibration_file_next_to_the_configuration_is_checked_with_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     file, beside = tmp_path / "tracker.yaml", tmp_path / "ceiling.yaml"

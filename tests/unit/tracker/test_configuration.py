@@ -103,7 +103,7 @@ def test_all_mistakes_are_reported_at_once():
     ]
 
 
-def test_the_command_reports_what_is_wrong_with_its_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_the_command_reports_the_mistakes_in_its_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     file = tmp_path / "tracker.yaml"
     assert main([str(file), "--check"]) == 2
     assert_golden("tracker", capsys.readouterr().err.replace(str(file), "FILE"), "FILE", "No such file")

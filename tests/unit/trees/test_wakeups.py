@@ -34,7 +34,7 @@ BASE = {"child": "base_link", "gap": "500ms"}
         ({"node": {"name": "/controller_server"}}, False),
     ],
 )
-def test_a_topic_on_which_one_message_can_be_a_failure_wakes_the_monitor(leaf, prompt) -> None:
+def test_a_topic_where_one_message_can_be_a_failure_wakes_the_monitor(leaf, prompt) -> None:
     assert any(topic.prompt for topic in load(leaf).topics) is prompt
 
 

@@ -8,7 +8,7 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.unit.cli.check.given import POLICY, POOL, WORKLOAD
+from tests.unit.cli.check.manifests import POLICY, POOL, WORKLOAD
 from understudy.cli.check.command import Result, check
 from understudy.trees.languages.short.health_loader import KINDS
 from understudy.trees.languages.short.procedure_loader import COMPOSITES, CONDITIONS, DECORATORS, STEPS

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.support.golden import assert_golden
-from tests.unit.cli.check.given import POLICY, POOL, WORKLOAD, found, only
+from tests.unit.cli.check.manifests import POLICY, POOL, WORKLOAD, found, only
 
 AUTO = POLICY.replace("{type: Restart}", "{type: Auto}") + "  requirements: {availability: High, resourceUsage: High}\n"
 

@@ -14,7 +14,7 @@ import pytest
 import yaml
 
 from tests.support.golden import assert_golden
-from tests.unit.cli.check.given import POLICY, WORKLOAD
+from tests.unit.cli.check.manifests import POLICY, WORKLOAD
 from understudy.cli.check.command import main
 
 REPOSITORY = Path(__file__).resolve().parents[4]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tests.unit.cli.check.given import POLICY, POOL, WORKLOAD, found, only
+from tests.unit.cli.check.manifests import POLICY, POOL, WORKLOAD, found, only
 
 DEGRADED = (
     POLICY

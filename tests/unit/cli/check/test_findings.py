@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.support.golden import assert_golden
-from tests.unit.cli.check.given import POLICY, POOL, WORKLOAD, checked, found, only, text
+from tests.unit.cli.check.manifests import POLICY, POOL, WORKLOAD, checked, found, only, text
 from understudy.cli.check.command import check
 
 

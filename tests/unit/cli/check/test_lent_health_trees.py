@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.support.golden import assert_golden
-from tests.unit.cli.check.given import POLICY, checked, found, only
+from tests.unit.cli.check.manifests import POLICY, checked, found, only
 
 REFERRING = POLICY.replace(
     "yaml: {topic: {name: /cmd_vel, gap: 500ms}}", "configMapKeyRef: {name: trees, key: health.yaml}"

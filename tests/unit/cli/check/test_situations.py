@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tests.support.golden import assert_golden
-from tests.unit.cli.check.given import POLICY, POOL, WORKLOAD, found, only
+from tests.unit.cli.check.manifests import POLICY, POOL, WORKLOAD, found, only
 
 CARRYING = (
     POLICY

@@ -40,7 +40,7 @@ def test_a_recovery_in_progress_has_its_occasion_start_and_strategy() -> None:
     )
 
 
-def test_the_message_contains_what_is_known_about_the_attempt() -> None:
+def test_the_message_contains_the_known_details_of_the_attempt() -> None:
     assert_golden("command_line", message(target=None), "/cmd_vel", "500 ms", "Fallback/Executing")
     assert message(strategy="") == "no /cmd_vel for 500 ms.", "as a monitor of an earlier version commits it"
     waiting = Waiter(workload="w", pool="navigation-spare", since=fleet.NOW - 1, until=fleet.NOW + 60)

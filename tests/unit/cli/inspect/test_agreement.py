@@ -119,7 +119,7 @@ def test_monitor_and_explain_agree_on_what_a_limit_prevents(
         assert protected["reason"] == ("FirstStrategyReady" if ready else "StandbyNotReady")
 
 
-def test_limits_that_clear_protected_are_those_that_the_monitor_reports() -> None:
+def test_the_limits_that_clear_protected_equal_those_reported_by_the_monitor() -> None:
     assert {row.reason for row in LIMITS if not row.protected} == set(protection.LIMIT_CONDITIONS.values())
     assert {row.limit for row in LIMITS if not row.protected} == {Limit.PAUSE, Limit.BUDGET}
 

@@ -170,7 +170,9 @@ def test_a_damaged_recording_is_refused(monitor: Monitor, capsys: pytest.Capture
     assert Path("robot-1-3.mcap").read_bytes() == b"an earlier one"
 
 
-def test_a_recording_deleted_meanwhile_is_reported(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_recording_deleted_during_the_command_is_reported(
+    monitor: Monitor, capsys: pytest.CaptureFixture[str]
+) -> None:
     del monitor.pages["/3abcdef.mcap"]
     assert main(["robot-1", "--fetch"]) == 2
     assert_golden("blackbox", capsys.readouterr().err, "3abcdef", "gone")

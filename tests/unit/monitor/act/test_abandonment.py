@@ -217,7 +217,7 @@ async def test_a_commit_that_takes_effect_after_its_recovery_stopped_is_marked(
     assert not monitor.upstream_state().failing
 
 
-async def test_an_unmarked_abandoned_recovery_is_remembered_beside_later_ones(monitor: Monitor, tmp_path: Path) -> None:
+async def test_an_unmarked_abandoned_recovery_is_remembered_with_later_ones(monitor: Monitor, tmp_path: Path) -> None:
     first = await monitor.recover(STANDBY, DENIED)
     monitor.fail("PATCH", DENIED)
     for _ in range(5):

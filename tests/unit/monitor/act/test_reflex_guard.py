@@ -233,7 +233,7 @@ async def test_a_standby_that_is_not_admitted_cannot_take_over(world: World) -> 
     assert world.takeover.detect(world.arrivals("w-2")[-1] + 1) is None
 
 
-async def test_a_takeover_is_looked_for_at_the_deadline_and_then_often_for_a_while(world: World) -> None:
+async def test_a_takeover_is_checked_at_the_deadline_and_then_repeatedly_for_a_limited_time(world: World) -> None:
     assert world.takeover.next_check(NOW) is None, "nobody is let through"
     await world.keep()
     last = world.arrivals("w-1")[-1]

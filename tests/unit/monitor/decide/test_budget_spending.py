@@ -67,7 +67,7 @@ def test_a_healthy_workload_reports_once_that_there_is_budget(world: World) -> N
     assert world.events == []
 
 
-def test_a_spent_budget_is_reported_with_its_end_and_what_to_do(world: World) -> None:
+def test_a_spent_budget_is_reported_with_its_end_and_a_remedy(world: World) -> None:
     world.recover(1000.0)
     assert world.spending.spent_until(1001.0) is None
     world.recover(1060.0)

@@ -45,7 +45,7 @@ def policy(**situations: Any) -> FailurePolicySpec:
 NONE, CARRYING = policy(), policy(carrying=TASK)
 
 
-class TestWhatIsSeen:
+class TestContextDetection:
     @staticmethod
     def seen(found: ContextDetection, observed: RecordedObservations, *goals: str) -> dict[str, SituationState]:
         now = time.time()

@@ -126,7 +126,7 @@ def test_the_start_of_a_failure_stays_in_the_status_until_it_ends() -> None:
         assert "failingSince" not in each.status.to_wire()
 
 
-class TestBetweenMonitors:
+class TestUpstreamMonitor:
     """What one writes is what the other reads: without that nobody would be held, and nothing be done."""
 
     async def test_the_first_commit_of_a_recovery_shows_the_failure_to_dependents(self, tmp_path: Path) -> None:

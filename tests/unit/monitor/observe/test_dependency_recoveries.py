@@ -15,7 +15,7 @@ from understudy.monitor.observe.objects.dependencies import Dependencies, begin,
 COSTMAP = {"yaml": {"call_service": {"service": "/costmap/clear", "type": "std_srvs/srv/Empty"}}, "within": "5s"}
 
 
-class TestAfterARecovery:
+class TestRecoveryReactions:
     async def test_a_recovery_from_before_the_first_observation_causes_no_reaction(self) -> None:
         world = Upstream()
         await world.report_health("Healthy", recovery("r1", onset=NOW - 60, verified=NOW - 50))
@@ -81,7 +81,7 @@ def carried_out(*depends_on: Object) -> list[tuple[str, float]]:
     return [(one.strategy.name, one.verify_within) for one in following(found, spec, usual)]
 
 
-class TestWhatIsCarriedOut:
+class TestReactionStrategies:
     def test_a_procedure_is_followed_by_the_strategies_of_the_policy(self) -> None:
         assert carried_out({"name": "a", "onRecovery": "Reinitialize"}) == [("Reinitialize", 30.0), ("Restart", 45.0)]
         own = {"name": "a", "onRecovery": "Procedure", "procedure": COSTMAP}

@@ -39,7 +39,7 @@ def test_a_restarted_container_is_initialized_again() -> None:
     assert first != again
 
 
-def test_an_own_pod_beside_the_active_instance_has_the_role_of_the_first_pool() -> None:
+def test_an_own_pod_that_is_not_active_has_the_role_of_the_first_pool() -> None:
     pools = settings(PoolChoice(name="spare", readiness="Uninitialized"), WARM, HOT)
     assert role_of(SOURCE, parsed_spec(bringUp=UP), pools, active_uid="uid-1").procedure.name == "initialization"
 

@@ -66,13 +66,13 @@ def test_readers_of_tools_do_not_count_as_the_robot(node: str) -> None:
     assert beside[:2] == ("True", "ReadPastTheGate")
 
 
-def test_another_reader_beside_a_gated_robot_is_only_mentioned() -> None:
+def test_an_ungated_reader_next_to_a_gated_robot_is_mentioned_but_no_problem() -> None:
     status, reason, message = judged(reading("10.1.0.7"), reading("10.1.0.9", DEFAULT, node="/display"))
     assert (status, reason) == ("True", "ReadPastTheGate")
     assert "/cmd_vel by /display at 10.1.0.9:7411" in message
 
 
-def test_outside_the_cluster_an_ungated_reader_is_harmless_beside_a_gated_one_of_its_host() -> None:
+def test_outside_the_cluster_a_host_needs_one_gated_reader() -> None:
     robots = ("10.20.17.4/32", "10.20.17.5/32")
     display = reading("10.20.17.4", DEFAULT, node="/display")
     assert judged(reading("10.20.17.4"), display, robots=robots)[1] == "ReadPastTheGate"

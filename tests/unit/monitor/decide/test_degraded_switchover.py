@@ -39,7 +39,7 @@ def handed_over(at: float) -> Progress:
 GOAL = BusyReason("task", "a goal of /go is active")
 
 
-class TestHandingOver:
+class TestDegradedSwitchover:
     def test_a_switchover_is_due_after_enough_degraded_and_idle_time(self, world: World) -> None:
         world.observer.well, world.observer.work = SLOW, GOAL
         world.look(10, policy=HANDED)
