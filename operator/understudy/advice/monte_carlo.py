@@ -86,9 +86,9 @@ def wait_times(times: Sequence[float], fallbacks: int, refill: Callable[[], floa
     back = [0.0] * fallbacks
     found = []
     for time in times:
-        begun = max(time, back[0])
-        heapq.heapreplace(back, begun + refill())
-        found.append(begun - time)
+        start = max(time, back[0])
+        heapq.heapreplace(back, start + refill())
+        found.append(start - time)
     return found
 
 

@@ -125,7 +125,7 @@ def priority(images: Images) -> Object:
     return {"priorityClassName": images.priority_class} if images.priority_class else {}
 
 
-def pull_secrets(names: Sequence[str], given: Sequence[Object] = ()) -> Object:
+def pull_secrets(names: Sequence[str], existing: Sequence[Object] = ()) -> Object:
     """Return the imagePullSecrets field of a pod spec with these Secrets and the given ones, or an empty mapping."""
-    added = [{"name": name} for name in names if {"name": name} not in given]
-    return {"imagePullSecrets": [*given, *added]} if given or added else {}
+    added = [{"name": name} for name in names if {"name": name} not in existing]
+    return {"imagePullSecrets": [*existing, *added]} if existing or added else {}

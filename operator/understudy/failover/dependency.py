@@ -79,15 +79,15 @@ class Outage:
     """When it ended; None while it lasts."""
 
 
-def outage(before: Outage | None, seen: UpstreamState, now: float) -> Outage | None:
+def outage(before: Outage | None, upstream: UpstreamState, now: float) -> Outage | None:
     """Return the present outage of an upstream workload, or else its last known one; ``before`` is the outage known so far."""
     lasting = before if before is not None and before.end is None else None
-    if seen.failing:
-        onset = seen.failing_since
+    if upstream.failing:
+        onset = upstream.failing_since
         if lasting is not None:
             return lasting if onset is None else Outage(min(lasting.onset, onset))
         return Outage(-math.inf if onset is None else onset)
-    last = seen.last
+    last = upstream.last
     if lasting is not None:
         recovered = last is not None and last.end is not None and last.end >= lasting.onset
         return Outage(lasting.onset, last.end if recovered and last is not None else now)
@@ -162,7 +162,7 @@ class DueReaction:
 def due(
     depends_on: Sequence[Dependency],
     upstream: Sequence[Upstream],
-    seen: Mapping[str, UpstreamState],
+    states: Mapping[str, UpstreamState],
     outages: Mapping[str, Outage],
     *,
     followed: Mapping[str, str],
@@ -178,19 +178,19 @@ def due(
     pending = {
         one.name: last
         for one in depends_on
-        if one.name in followed and (last := _last(seen, one.name)) is not None and last.id != followed[one.name]
+        if one.name in followed and (last := _last(states, one.name)) is not None and last.id != followed[one.name]
     }
-    if not pending or any(seen[name].failing for name in pending):
+    if not pending or any(states[name].failing for name in pending):
         return None
     since = max(_over(last, outages.get(name)) for name, last in pending.items())
     patience = max(seconds(one.wait_for) for one in depends_on if one.name in pending)
-    if now < since + patience and any(_unsettled(upstream, seen)):
+    if now < since + patience and any(_unsettled(upstream, states)):
         return None
     return DueReaction([DependencyRecovery(name=name, recovery=last.id) for name, last in pending.items()], since)
 
 
-def _last(seen: Mapping[str, UpstreamState], name: str) -> Recovered | None:
-    return seen[name].last if name in seen else None
+def _last(states: Mapping[str, UpstreamState], name: str) -> Recovered | None:
+    return states[name].last if name in states else None
 
 
 def _over(last: Recovered, known: Outage | None) -> float:
@@ -200,10 +200,10 @@ def _over(last: Recovered, known: Outage | None) -> float:
     return known.end if known is not None and known.end is not None else last.onset
 
 
-def _unsettled(upstream: Sequence[Upstream], seen: Mapping[str, UpstreamState]) -> Iterator[bool]:
+def _unsettled(upstream: Sequence[Upstream], states: Mapping[str, UpstreamState]) -> Iterator[bool]:
     for one in upstream:
-        known = seen.get(one.name, UpstreamState())
+        known = states.get(one.name, UpstreamState())
         yield known.failing
         for name in one.depends_on:
-            last = _last(seen, name)
+            last = _last(states, name)
             yield last is not None and name in known.followed and known.followed[name] != last.id

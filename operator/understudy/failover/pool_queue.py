@@ -119,14 +119,14 @@ async def turn(
     ``free`` returns the UIDs of the pods that can be claimed now. ``join`` records for others that this workload waits. It is called once,
     and only if the workload waits at all; without it, the workload only leaves a free pod to those ahead of it for the same time.
     """
-    seen: dict[str, float] = {}
+    waiting_pods: dict[str, float] = {}
     joined = False
     while True:
         now = clock()
         others = in_order(queue.others(me.pool), me.pool, now)
         ahead = before(me, others, now)
-        seen = {uid: seen.get(uid, now) for uid in free()}
-        at = due(ahead, seen.values())
+        waiting_pods = {uid: waiting_pods.get(uid, now) for uid in free()}
+        at = due(ahead, waiting_pods.values())
         if at is not None and at <= now:
             return True
         if now >= (me.until if at is None else me.until + YIELD_MOST) or (me.until > me.since and needless()):

@@ -66,8 +66,8 @@ async def recover(progress: Progress, choices: Sequence[Choice], context: Strate
 async def _attempt(
     progress: Progress, choice: Choice, context: StrategyContext, *, last: bool
 ) -> tuple[Literal["Verified", "NotVerified", "NotAvailable"], str]:
-    begun = progress.target is not None or progress.waiting is not None  # by an earlier monitor
-    if not begun and (reason := context.holds(choice.strategy)) is not None:
+    is_resumed = progress.target is not None or progress.waiting is not None  # by an earlier monitor
+    if not is_resumed and (reason := context.holds(choice.strategy)) is not None:
         return "NotAvailable", reason
     try:
         await _in_its_time(progress, choice, context, last=last)

@@ -30,7 +30,7 @@ class Situations:
         """Continue with a situation that applied before this process started."""
         self._lasting[name] = Period(now)
 
-    def note(self, rules: Sequence[Rule], seen: Mapping[str, bool | None], now: float) -> str | None:
+    def note(self, rules: Sequence[Rule], states: Mapping[str, bool | None], now: float) -> str | None:
         """Record for each situation whether it is observed (None if that is unknown), and return the first one that applies.
 
         Situations that are no longer in ``rules`` are dropped.
@@ -39,6 +39,6 @@ class Situations:
         counting = [
             rule.name
             for rule in rules
-            if self._lasting[rule.name].note(seen.get(rule.name), now, after=rule.after, clear_after=rule.clear_after)
+            if self._lasting[rule.name].note(states.get(rule.name), now, after=rule.after, clear_after=rule.clear_after)
         ]
         return counting[0] if counting else None

@@ -128,7 +128,7 @@ async def settle(progress: Progress, context: StrategyContext) -> Progress:
         _still_ours(progress, context)
         uid = progress.target.uid if progress.target is not None else ""
         target = next((i for i in context.instances.of_workload() if i.uid == uid), None)
-        if target is None or not await _seen(target, progress, context):
+        if target is None or not await _is_observed(target, progress, context):
             return await _give_back(target, progress, context)
         progress.epoch, progress.result = context.gate.state.epoch, "Recovered"
         pod, strategy = target.name, progress.strategy
@@ -145,7 +145,7 @@ async def settle(progress: Progress, context: StrategyContext) -> Progress:
     return progress
 
 
-async def _seen(target: Instance, progress: Progress, context: StrategyContext) -> bool:
+async def _is_observed(target: Instance, progress: Progress, context: StrategyContext) -> bool:
     """Return whether outputs of an instance reach the robot."""
     try:
         async with asyncio.timeout(SEEN_WITHIN):

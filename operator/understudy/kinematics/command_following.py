@@ -154,7 +154,7 @@ class Sums:
         """Since when the velocity has been wrong according to the sums; None while it is right."""
         return self._since
 
-    def add(self, time: float, seen: float, low: float, high: float, variance: float, part: float) -> None:
+    def add(self, time: float, measured: float, low: float, high: float, variance: float, part: float) -> None:
         """Add an observation. Velocities from ``low`` to ``high`` are allowed; ``part`` is its weight relative to an independent one."""
         most = self._threshold / STEPS
         scale = part * self._least / variance
@@ -164,7 +164,7 @@ class Sums:
             # The sum stops at the threshold, so that it can fall as quickly as it rose.
             return min(self._threshold, max(0.0, before + min(most, max(-most, step))))
 
-        self._below, self._above = summed(self._below, low - seen), summed(self._above, seen - high)
+        self._below, self._above = summed(self._below, low - measured), summed(self._above, measured - high)
         largest = max(self._below, self._above)
         if not largest:
             self.failed, self._since = False, None
@@ -182,7 +182,7 @@ class Discrepancy:
     """A component in which a robot does not move as commanded."""
 
     component: Component
-    seen: float
+    measured: float
     low: float
     high: float
     """The observed velocity, and the bounds that the commands allow, in m/s or rad/s."""
@@ -191,7 +191,7 @@ class Discrepancy:
         unit = "rad/s" if self.component == "turning" else "m/s"
         low, high = f"{self.low:.2f}", f"{self.high:.2f}"
         commanded = low if low == high else f"{low} to {high}"
-        return f"{self.component} {self.seen:.2f} {unit} observed, {commanded} {unit} commanded"
+        return f"{self.component} {self.measured:.2f} {unit} observed, {commanded} {unit} commanded"
 
 
 class CommandFollowing:

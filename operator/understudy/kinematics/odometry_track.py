@@ -99,9 +99,9 @@ class Track:
             return reason
         seconds = elapsed * _SECOND
         step = last.pose.to(point.pose)
-        seen = elapsed <= BLIND
+        is_observed = elapsed <= BLIND
         self._velocity = (
-            ((step.x / seconds, step.y / seconds, step.z / seconds), step.angle / seconds) if seen else None
+            ((step.x / seconds, step.y / seconds, step.z / seconds), step.angle / seconds) if is_observed else None
         )
         assert self._mark is not None, "it is set with the first point"
         driven, turned = self._mark.distance(point.pose), self._mark.to(point.pose).angle
@@ -109,7 +109,7 @@ class Track:
             driven = turned = 0.0
         else:
             self._mark = point.pose
-        blind = 0.0 if seen else seconds
+        blind = 0.0 if is_observed else seconds
         reached = Moment(point.pose, moment.driven + driven, moment.turned + turned, moment.blind + blind)
         self._points.append((point, reached))
         return ""

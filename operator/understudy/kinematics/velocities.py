@@ -55,18 +55,18 @@ class Velocities:
         self._window = window
         self._poses: deque[Position] = deque()
 
-    def add(self, seen: Position) -> Velocity | None:
+    def add(self, position: Position) -> Velocity | None:
         """Add a position and return the velocity; None if too little has been observed.
 
         A stamp that is not later than the last one starts a new window: the clock was set, or the images are replayed.
         """
         poses = self._poses
-        if poses and seen.stamp <= poses[-1].stamp:
+        if poses and position.stamp <= poses[-1].stamp:
             poses.clear()
         if poses:  # continue from the last heading, so that the line has no step where the angle wraps around
             before = poses[-1].heading
-            seen = seen._replace(heading=before + math.remainder(seen.heading - before, math.tau))
-        poses.append(seen)
+            position = position._replace(heading=before + math.remainder(position.heading - before, math.tau))
+        poses.append(position)
         # Stamps are rounded to the resolution of their clock.
         while poses[-1].stamp - poses[0].stamp > self._window * (1 + 1e-6) + 1e-9:
             poses.popleft()

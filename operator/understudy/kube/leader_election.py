@@ -59,7 +59,7 @@ class Lease:
         self._timing = timing or Timing()
         self._clock = clock
         self._record: tuple[str, str, int] | None = None
-        self._seen = 0.0
+        self._changed_at = 0.0
         self._renewed: float | None = None
 
     @property
@@ -130,9 +130,9 @@ class Lease:
         transitions = spec.get("leaseTransitions") or 0
         record = (holder, spec.get("renewTime") or "", transitions)
         if record != self._record:
-            self._record, self._seen = record, started
+            self._record, self._changed_at = record, started
         lasts = float(spec.get("leaseDurationSeconds") or self._timing.lasts)
-        if holder not in ("", self._identity) and started - self._seen < lasts:
+        if holder not in ("", self._identity) and started - self._changed_at < lasts:
             return False
         try:
             await self._write(

@@ -79,9 +79,9 @@ def view_by(references: list[tuple[Reference, Corners]], calibration: Calibratio
     rotation, shift = cv2.solvePnPRefineLM(world, rays, np.eye(3), None, rotation, shift)
     turn = np.asarray(cv2.Rodrigues(rotation)[0], np.float64)
     view = View(turn.T, (-turn.T @ np.asarray(shift, np.float64).reshape(3)))
-    seen = (world - view.place) @ view.axes
-    miss = float(np.abs(seen[:, :2] / seen[:, 2:] - rays).max() * calibration.matrix[0, 0])
-    if miss > MOST_MISS or (seen[:, 2] <= 0).any():
+    relative = (world - view.place) @ view.axes
+    miss = float(np.abs(relative[:, :2] / relative[:, 2:] - rays).max() * calibration.matrix[0, 0])
+    if miss > MOST_MISS or (relative[:, 2] <= 0).any():
         raise Misfit(
             f"the reference markers are seen {miss:.1f} pixels from where they should be: "
             "one of them is not where camera.references says, or the camera's calibration is wrong"

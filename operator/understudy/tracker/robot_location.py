@@ -77,8 +77,8 @@ class Locator:
                 self.problems.append(str(error))
                 continue
             variances = tuple(float(placed.covariance[index, index]) for index in range(3))
-            seen = Position(stamp, placed.x, placed.y, placed.heading, (variances[0], variances[1], variances[2]))
-            sightings.append(DetectedRobot(marker, found[number], placed, self._velocities[number].add(seen)))
+            position = Position(stamp, placed.x, placed.y, placed.heading, (variances[0], variances[1], variances[2]))
+            sightings.append(DetectedRobot(marker, found[number], placed, self._velocities[number].add(position)))
         return sightings
 
     def _find_references(self, found: dict[int, Corners], calibration: Calibration) -> None:

@@ -53,7 +53,7 @@ def robot(name: str = "w", *recoveries: Object, age: float = 10 * HOUR, count: i
 
 
 def history_of(*asking: Object, history: float = 24 * HOUR) -> RobotHistory:
-    return pool_size.seen("spare", asking, NOW - history, NOW)
+    return pool_size.robot_history("spare", asking, NOW - history, NOW)
 
 
 def observed(pool: Object, *asking: Object, now: float = NOW, pods: list[Object] | None = None) -> pool_pods.Observed:

@@ -107,9 +107,9 @@ def main(arguments: list[str]) -> int:
     )
     parser.add_argument("--strict", action="store_true", help="exit with 1 also for warnings")
     add_output(parser, "one line per finding, or all details as JSON or YAML")
-    given = parser.parse_args(arguments)
-    result = check(list(manifest_reader.contents(given.files).items()))
-    text = given.output == "text"
-    terminal.write(map(str, result.findings) if text else [structured(result.to_wire(), given.output)])
+    options = parser.parse_args(arguments)
+    result = check(list(manifest_reader.contents(options.files).items()))
+    text = options.output == "text"
+    terminal.write(map(str, result.findings) if text else [structured(result.to_wire(), options.output)])
     print(f"understudy check: {result.totals()}", file=sys.stderr)
-    return 1 if result.errors or (given.strict and result.warnings) else 0
+    return 1 if result.errors or (options.strict and result.warnings) else 0

@@ -94,10 +94,10 @@ def _no_fallback_available(workload: Manifest, policy: Manifest, pools: Sequence
     """Report a workload for which no fallback of its policy could run, if all of their pools are given."""
     strategies = items(policy.data, "spec", "strategies")
     named = {pool for one in strategies if isinstance(pool := at(one, "poolRef", "name"), str)}
-    given = {pool.name: pool for pool in pools if pool.name in named and workload.together(pool)}
-    if not named or set(given) != named or any(_selector(pool) is None for pool in given.values()):
+    pools_by_name = {pool.name: pool for pool in pools if pool.name in named and workload.together(pool)}
+    if not named or set(pools_by_name) != named or any(_selector(pool) is None for pool in pools_by_name.values()):
         return
-    there = Resources({name: _pool(pool, workload) for name, pool in given.items()})
+    there = Resources({name: _pool(pool, workload) for name, pool in pools_by_name.items()})
     found = [availability.fallback(name, there) for name in sorted(named)]
     if not any(one.available for one in found):
         message = (

@@ -14,7 +14,7 @@ Number = TypeVar("Number", int, float)
 
 
 def reject_unless(
-    parser: argparse.ArgumentParser, given: argparse.Namespace, holds: bool, option: str, why: str
+    parser: argparse.ArgumentParser, options: argparse.Namespace, holds: bool, option: str, why: str
 ) -> None:
     """Refuse an option that has no effect here: print the usage and exit with status 2, as argparse does.
 
@@ -22,7 +22,7 @@ def reject_unless(
     """
     (action,) = (one for one in parser._actions if option in one.option_strings)
     assert action.default is None, option
-    if not holds and getattr(given, action.dest) is not None:
+    if not holds and getattr(options, action.dest) is not None:
         parser.error(f"{'/'.join(action.option_strings)} {why}")
 
 

@@ -211,13 +211,13 @@ def pool(item: Object) -> Pool:
 
 
 def problems(
-    item: Object, conditions: Iterable[Condition], seen: int | None, recovering: UnderWay | None = None
+    item: Object, conditions: Iterable[Condition], observed_generation: int | None, recovering: UnderWay | None = None
 ) -> list[Problem]:
     """List the problems that an object's conditions report, and the recovery under way.
 
-    ``seen`` is the generation of the spec that the conditions refer to.
+    ``observed_generation`` is the generation of the spec that the conditions refer to.
     """
-    found, conditions = list(_unobserved(item, seen)), list(conditions)
+    found, conditions = list(_unobserved(item, observed_generation)), list(conditions)
     if recovering is not None and not _status_has_details(conditions, recovering):
         conditions = [condition for condition in conditions if condition.type != "Recovering"]
         reason, message = recovering.occasion, recovering.message
@@ -258,10 +258,10 @@ def _status_has_details(conditions: Iterable[Condition], recovering: UnderWay) -
     return reported is not None and reported.status == "True" and reported.reason != recovering.occasion
 
 
-def _unobserved(item: Object, seen: int | None) -> Iterator[Problem]:
+def _unobserved(item: Object, observed_generation: int | None) -> Iterator[Problem]:
     generation = item["metadata"].get("generation")
-    if seen is None or (generation is not None and seen < generation):
-        what = "it" if seen is None else f"its current spec (generation {generation})"
+    if observed_generation is None or (generation is not None and observed_generation < generation):
+        what = "it" if observed_generation is None else f"its current spec (generation {generation})"
         yield Problem(
             type="Accepted",
             reason="NotSeen",

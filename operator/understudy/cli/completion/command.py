@@ -15,8 +15,8 @@ def main(arguments: list[str]) -> int:
     """Run the command."""
     parser = _parser()
     shell_completion.offer(parser, {})
-    given = parser.parse_args(arguments)
-    print(shell_completion.argcomplete().shellcode(_COMMANDS, shell=given.shell))
+    options = parser.parse_args(arguments)
+    print(shell_completion.argcomplete().shellcode(_COMMANDS, shell=options.shell))
     return 0
 
 

@@ -37,13 +37,13 @@ TRIES = 10
 @reports_errors("fence")
 def main(arguments: list[str]) -> int:
     """Run the command."""
-    given = _parser().parse_args(arguments)
-    pause = signature.signed(given, "fenced", before="fenced: ")
-    kubectl = Kubectl(given)
-    item = kubectl.get(WORKLOADS, given.name)
+    options = _parser().parse_args(arguments)
+    pause = signature.signed(options, "fenced", before="fenced: ")
+    kubectl = Kubectl(options)
+    item = kubectl.get(WORKLOADS, options.name)
     confirmation.confirm(
-        f"{given.name} controls a robot. When the gate is closed, the robot receives no commands. Close the gate?",
-        yes=given.yes,
+        f"{options.name} controls a robot. When the gate is closed, the robot receives no commands. Close the gate?",
+        yes=options.yes,
     )
     return _fence(kubectl, item, pause)
 

@@ -18,9 +18,9 @@ from understudy.cli.control import signature
 @reports_errors("pause")
 def main(arguments: list[str]) -> int:
     """Run the command."""
-    given = _parser().parse_args(arguments)
-    pause = _pause(given, time.time())
-    item = Kubectl(given).patch(WORKLOADS, given.name, {"spec": {"pause": pause.to_wire() | _no_end(pause)}})
+    options = _parser().parse_args(arguments)
+    pause = _pause(options, time.time())
+    item = Kubectl(options).patch(WORKLOADS, options.name, {"spec": {"pause": pause.to_wire() | _no_end(pause)}})
     where = f"{item['metadata']['namespace']}/{item['metadata']['name']}"
     print(
         f"{where}: {pause.words}. Understudy takes no action and sends no safe command. understudy resume ends the pause."
@@ -28,21 +28,21 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
-def _pause(given: argparse.Namespace, now: float) -> Pause:
+def _pause(options: argparse.Namespace, now: float) -> Pause:
     """Build the pause from the options. Raises CommandError."""
-    until: str | None = given.until
-    if given.length is not None:
+    until: str | None = options.until
+    if options.length is not None:
         try:
-            until = datetime.fromtimestamp(now + seconds(given.length), UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+            until = datetime.fromtimestamp(now + seconds(options.length), UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
         except ValueError as error:
-            raise CommandError(f'--for "{given.length}": {DURATION_MESSAGE}') from error
+            raise CommandError(f'--for "{options.length}": {DURATION_MESSAGE}') from error
     if until is not None:
         end = unix(until) if re.match(MOMENT_PATTERN, until) else None
         if end is None:
             raise CommandError(f'--until "{until}": {MOMENT_MESSAGE}')
         if end <= now:
             raise CommandError(f"--until {until} is in the past")
-    return signature.signed(given, "paused", until=until)
+    return signature.signed(options, "paused", until=until)
 
 
 def _no_end(pause: Pause) -> dict[str, None]:

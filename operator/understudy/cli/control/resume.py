@@ -15,13 +15,13 @@ from understudy.failover.progress import rfc3339
 @reports_errors("resume")
 def main(arguments: list[str]) -> int:
     """Run the command."""
-    given = _parser().parse_args(arguments)
-    why = _why(given)
-    kubectl = Kubectl(given)
-    before = kubectl.get(WORKLOADS, given.name)
+    options = _parser().parse_args(arguments)
+    why = _why(options)
+    kubectl = Kubectl(options)
+    before = kubectl.get(WORKLOADS, options.name)
     # Without a reason, remove that of an earlier resume.
     word = {"metadata": {"annotations": {names.RESUMED: rfc3339(time.time()), names.RESUMED_FOR: why}}}
-    item = kubectl.patch(WORKLOADS, given.name, word | {"spec": {"pause": None}})
+    item = kubectl.patch(WORKLOADS, options.name, word | {"spec": {"pause": None}})
     where = f"{item['metadata']['namespace']}/{item['metadata']['name']}"
     pause = (before.get("spec") or {}).get("pause")
     was = f"pause ended; it was paused by {pause.get('owner')}: {pause.get('reason')}" if pause else "it was not paused"
@@ -29,12 +29,12 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
-def _why(given: argparse.Namespace) -> str | None:
+def _why(options: argparse.Namespace) -> str | None:
     """Return who resumes it and why; None if no reason is given. Raises CommandError if it is empty."""
-    if given.reason is None:
+    if options.reason is None:
         return None
-    signature.refuse_empty(given, "resumed")
-    return f"{given.owner[:128]}: {given.reason[:256]}"
+    signature.refuse_empty(options, "resumed")
+    return f"{options.owner[:128]}: {options.reason[:256]}"
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -20,18 +20,18 @@ from understudy.kube.client import Object
 @reports_errors("robot-profile")
 def main(arguments: list[str]) -> int:
     """Run the command."""
-    given = _parser().parse_args(arguments)
-    kubectl = Kubectl(given)
-    found = _profile(kubectl, kubectl.get(WORKLOADS, given.name), given.at)
-    if given.write:
-        _write(found, Path(given.write))
+    options = _parser().parse_args(arguments)
+    kubectl = Kubectl(options)
+    found = _profile(kubectl, kubectl.get(WORKLOADS, options.name), options.at)
+    if options.write:
+        _write(found, Path(options.write))
         print("\n".join(found.advice()))
-    elif given.output in ("json", "yaml"):
-        print(structured(found.to_wire(), given.output))
-    elif given.output == "text":
+    elif options.output in ("json", "yaml"):
+        print(structured(found.to_wire(), options.output))
+    elif options.output == "text":
         print("\n".join(found.lines()))
     else:
-        print(found.env_file if given.output == "env" else found.profiles, end="")
+        print(found.env_file if options.output == "env" else found.profiles, end="")
     return 0
 
 

@@ -20,17 +20,17 @@ def add_options(parser: argparse.ArgumentParser, *, reason: str, required: bool 
     )
 
 
-def signed(given: argparse.Namespace, found: str, *, before: str = "", until: str | None = None) -> Pause:
+def signed(options: argparse.Namespace, found: str, *, before: str = "", until: str | None = None) -> Pause:
     """Build a pause with them, cut to the lengths that the API accepts, with a prefix ``before`` the reason.
 
     Raises CommandError if one is empty; ``found`` is the state in which others find the robot.
     """
-    refuse_empty(given, found)
-    return Pause(reason=f"{before}{given.reason}"[:256], owner=given.owner[:128], until=until)
+    refuse_empty(options, found)
+    return Pause(reason=f"{before}{options.reason}"[:256], owner=options.owner[:128], until=until)
 
 
-def refuse_empty(given: argparse.Namespace, found: str) -> None:
+def refuse_empty(options: argparse.Namespace, found: str) -> None:
     """Raise CommandError if reason or owner is empty; ``found`` is the state in which others find the robot."""
-    for option, text in (("--reason", given.reason), ("--owner", given.owner)):
+    for option, text in (("--reason", options.reason), ("--owner", options.owner)):
         if not text.strip():
             raise CommandError(f"{option} is empty: others who find the robot {found} need to know it")

@@ -43,21 +43,21 @@ _PURPOSE: Mapping[Verb, str] = {
 
 def run(verb: Verb, arguments: list[str]) -> int:
     """Run the command."""
-    given = _parser(verb).parse_args(arguments)
-    return _switch(verb, Kubectl(given), given.name, given.within)
+    options = _parser(verb).parse_args(arguments)
+    return _switch(verb, Kubectl(options), options.name, options.within)
 
 
 def _switch(verb: Verb, kubectl: Kubectl, name: str, within: float) -> int:
     item = kubectl.get(WORKLOADS, name)
     _refuse(item)
     columns = terminal.columns(sys.stdout)
-    asked, begun = request(verb, time.time()), time.monotonic()
+    asked, started_at = request(verb, time.time()), time.monotonic()
     reported: tuple[str, str] = ("", "")
     try:
         with kubectl.changes(WORKLOADS, name) as changed:
             kubectl.annotate(WORKLOADS, name, names.SWITCHOVER, asked)
             print("requested", flush=True)
-            while time.monotonic() - begun < within:
+            while time.monotonic() - started_at < within:
                 status = status_of(kubectl.get(WORKLOADS, name))
                 found = status.switchover
                 if found is not None and found.request == asked:
@@ -104,14 +104,14 @@ def _end(found: SwitchoverStatus, status: RobotWorkloadStatus, columns: int | No
     pods = short([recovery.from_pod, recovery.to_pod])
     control = f"{pods[recovery.from_pod]} → {pods[recovery.to_pod]} by {recovery.strategy}, gate epoch {recovery.epoch}"
     yield from wrapped(f"done: {control}", columns, indent=0, hanging=2)
-    yield from wrapped(f"at the robot: {'; '.join(_seen(recovery))}", columns, indent=2)
+    yield from wrapped(f"at the robot: {'; '.join(_at_the_robot(recovery))}", columns, indent=2)
     for entry in recovery.state:
         old = f", {length(entry.age_seconds)} old" if entry.age_seconds is not None else ""
-        given = f"restored{old}" if entry.restored else f"NOT restored: {entry.message}"
-        yield from wrapped(f"state: {entry.name} {given}", columns, indent=2)
+        result = f"restored{old}" if entry.restored else f"NOT restored: {entry.message}"
+        yield from wrapped(f"state: {entry.name} {result}", columns, indent=2)
 
 
-def _seen(recovery: Recovery) -> Iterator[str]:
+def _at_the_robot(recovery: Recovery) -> Iterator[str]:
     """Describe what the monitor received on the robot's topics."""
     moments = recovery.moments
     if moments.first_output is None:

@@ -43,22 +43,22 @@ _ENFORCED, _READ = "GateEnforced", "OutputsRead"
 def main(arguments: list[str]) -> int:
     """Run the command."""
     parser = _parser()
-    given = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     option_rules.reject_unless(
-        parser, given, not given.no_pods, "--image", "sets the image of the test pods: remove --no-pods"
+        parser, options, not options.no_pods, "--image", "sets the image of the test pods: remove --no-pods"
     )
     out = sys.stdout
     try:
-        kubectl = Kubectl(given)
+        kubectl = Kubectl(options)
         with _progress() as progress, proxied(kubectl) as api:
-            examination = _Examination(kubectl, api, given, progress)
+            examination = _Examination(kubectl, api, options, progress)
             examination.run()
         found = examination.found
-        if given.output == "text":
+        if options.output == "text":
             print("\n".join(findings.lines(found, columns=terminal.columns(out), colours=terminal.colours(out))))
         else:
             document = {"version": __version__, "namespace": kubectl.namespace, **findings.to_wire(found)}
-            print(structured(document | examination.measured, given.output))
+            print(structured(document | examination.measured, options.output))
         return WELL if findings.is_well(found) else NOT_WELL
     except KeyboardInterrupt:
         print("understudy doctor: interrupted; the objects that it had created are deleted", file=sys.stderr)
@@ -78,8 +78,10 @@ def _progress() -> Iterator[Callable[[str], None]]:
 class _Examination:
     """Runs the checks one after the other: first requests to the API server, then tests with pods."""
 
-    def __init__(self, kubectl: Kubectl, api: Api, given: argparse.Namespace, progress: Callable[[str], None]) -> None:
-        self._kubectl, self._api, self._given, self._progress = kubectl, api, given, progress
+    def __init__(
+        self, kubectl: Kubectl, api: Api, options: argparse.Namespace, progress: Callable[[str], None]
+    ) -> None:
+        self._kubectl, self._api, self._options, self._progress = kubectl, api, options, progress
         self.found: list[Finding] = []
         self.measured: dict[str, Any] = {}
 
@@ -99,7 +101,7 @@ class _Examination:
         lost = list(discovery_check.servers(self._api, namespace, workloads))
         self.found += lost
         self.found += monitor_findings(workloads)
-        if not self._given.no_pods:
+        if not self._options.no_pods:
             failed = {finding.check for finding in lost}
             try:
                 self._try(
@@ -112,11 +114,11 @@ class _Examination:
     def _workloads(self, namespace: str) -> Sequence[Object]:
         """Return the workloads that were named, or all. Raises CommandError if a named one does not exist."""
         try:
-            if self._given.names:
-                return [self._api.get(WORKLOADS.path(namespace, name)) for name in self._given.names]
+            if self._options.names:
+                return [self._api.get(WORKLOADS.path(namespace, name)) for name in self._options.names]
             items: list[Object] = self._api.get(WORKLOADS.path(namespace))["items"]
         except Refused as refused:
-            if self._given.names:
+            if self._options.names:
                 raise
             self.found.append(Finding("robots", "WARN", f"they cannot be listed: {refused}", "see your rights, above"))
             return []
@@ -125,8 +127,8 @@ class _Examination:
     def _images(self, operator: Installed | None) -> Images:
         """Return the images of the test pods. Raises CommandError."""
         known = operator.images if operator is not None else None
-        if self._given.image:
-            return replace(known, monitor=self._given.image) if known is not None else Images(self._given.image)
+        if self._options.image:
+            return replace(known, monitor=self._options.image) if known is not None else Images(self._options.image)
         if known is None:
             raise CommandError("the monitor's image is not known, since no operator is found; give it with --image")
         return known
@@ -137,11 +139,11 @@ class _Examination:
             clock_check.NodeClocks(self._api) as nodes,
             test_pods.pair(self._kubectl, self._api, images, self._progress) as pods,
         ):
-            seen = packet_check.measure(pods, self._progress)
-            self.measured["gate"] = packet_check.to_wire(seen)
-            self.found += packet_check.judge(seen)
+            gate_test = packet_check.measure(pods, self._progress)
+            self.measured["gate"] = packet_check.to_wire(gate_test)
+            self.found += packet_check.judge(gate_test)
             self.found += discovery_check.joined(pods, workloads, self._progress)
-        clocks = {**nodes.clocks, **seen.clocks}
+        clocks = {**nodes.clocks, **gate_test.clocks}
         self.measured["clocks"] = clock_check.to_wire(clocks)
         self.found.append(clock_check.judge(clocks, clock_check.of_api_server(self._api)))
 

@@ -55,8 +55,8 @@ class Installed:
     def images(self) -> Images | None:
         """The images from which it creates monitors; None if it does not state them."""
         (container, *_) = self.item["spec"]["template"]["spec"]["containers"]
-        given = {entry["name"]: entry.get("value", "") for entry in container.get("env") or []}
-        settings = {key: given.get(name, "") for key, name in _ENVIRONMENT.items()}
+        variables = {entry["name"]: entry.get("value", "") for entry in container.get("env") or []}
+        settings = {key: variables.get(name, "") for key, name in _ENVIRONMENT.items()}
         if not settings["monitor"]:
             return None
         secrets = tuple(name for name in settings["pull_secrets"].split(",") if name)

@@ -74,47 +74,55 @@ def measure(pods: Pods, progress: Callable[[str], None]) -> GateTest:
     """Send through a gate that closes and opens, and return the result. Raises CommandError."""
     nodes = (pods.sender["spec"]["nodeName"], pods.receiver["spec"]["nodeName"])
     with pods.talking(pods.sender) as sender, pods.talking(pods.receiver) as receiver:
-        seen = GateTest(nodes)
+        gate_test = GateTest(nodes)
         progress("reading the clocks of their nodes")
-        seen.clocks = {nodes[0]: of_session(sender), nodes[1]: of_session(receiver)}
-        _Measurement(pods, sender, receiver, seen, progress).run()
-        return seen
+        gate_test.clocks = {nodes[0]: of_session(sender), nodes[1]: of_session(receiver)}
+        _Measurement(pods, sender, receiver, gate_test, progress).run()
+        return gate_test
 
 
 class _Measurement:
     def __init__(
-        self, pods: Pods, sender: Session, receiver: Session, seen: GateTest, progress: Callable[[str], None]
+        self, pods: Pods, sender: Session, receiver: Session, gate_test: GateTest, progress: Callable[[str], None]
     ) -> None:
-        self._pods, self._sender, self._receiver, self._seen, self._progress = pods, sender, receiver, seen, progress
+        self._pods, self._sender, self._receiver, self._gate_test, self._progress = (
+            pods,
+            sender,
+            receiver,
+            gate_test,
+            progress,
+        )
         self._host = pods.receiver["status"]["podIP"]
         self._uid = kube_objects.uid(pods.sender)
-        self._clock = seen.clocks[seen.nodes[1]]
+        self._clock = gate_test.clocks[gate_test.nodes[1]]
 
     def run(self) -> None:
         """Run the steps. Each needs the one before, so the first that fails ends the measurement."""
-        seen = self._seen
+        gate_test = self._gate_test
         for port in (names.PROBE_PORT, OPEN_PORT):
             self._receiver.ask("listen", port=port, host="::" if ":" in self._host else "0.0.0.0")
         self._progress("sending packets without a gate")
         sent = self._send(OPEN_PORT), self._send(names.PROBE_PORT, self._uid)
-        seen.before = all(
+        gate_test.before = all(
             self._begins(0.0, port, uid) is not None
             for port, uid in zip((OPEN_PORT, names.PROBE_PORT), sent, strict=True)
         )
-        if not seen.before:
+        if not gate_test.before:
             return
         self._progress("sending packets to a closed gate")
-        seen.established = self._ends(self._asking(self._pods.fence))
-        seen.fresh = self._begins(0.0, names.PROBE_PORT, self._send(names.PROBE_PORT), within=2 * QUIET) is not None
-        seen.others = self._begins(0.0, OPEN_PORT, self._send(OPEN_PORT), within=5 * QUIET) is not None
-        if seen.fresh:
+        gate_test.established = self._ends(self._asking(self._pods.fence))
+        gate_test.fresh = (
+            self._begins(0.0, names.PROBE_PORT, self._send(names.PROBE_PORT), within=2 * QUIET) is not None
+        )
+        gate_test.others = self._begins(0.0, OPEN_PORT, self._send(OPEN_PORT), within=5 * QUIET) is not None
+        if gate_test.fresh:
             return
         self._progress("opening the gate")
-        seen.opened = self._begins(self._asking(self._pods.open_gate), names.PROBE_PORT, self._uid)
+        gate_test.opened = self._begins(self._asking(self._pods.open_gate), names.PROBE_PORT, self._uid)
         self._progress("closing it again")
-        seen.closed = self._ends(self._asking(self._pods.close_gate))
+        gate_test.closed = self._ends(self._asking(self._pods.close_gate))
         self._progress("deleting the test policies")
-        seen.lifted = self._begins(self._asking(self._pods.lift), names.PROBE_PORT, self._uid)
+        gate_test.lifted = self._begins(self._asking(self._pods.lift), names.PROBE_PORT, self._uid)
 
     def _asking(self, write: Callable[[], Answer]) -> float:
         """Change the gate while packets are being sent, and return the time of the request."""
@@ -154,10 +162,14 @@ class _Measurement:
         return moment - self._clock.ahead
 
 
-def judge(seen: GateTest) -> list[Finding]:
+def judge(gate_test: GateTest) -> list[Finding]:
     """Turn the measurement into findings for a person."""
-    where = f"from {seen.nodes[0]} to {seen.nodes[1]}" if len(set(seen.nodes)) == 2 else f"on {seen.nodes[0]} only"
-    if not seen.before:
+    where = (
+        f"from {gate_test.nodes[0]} to {gate_test.nodes[1]}"
+        if len(set(gate_test.nodes)) == 2
+        else f"on {gate_test.nodes[0]} only"
+    )
+    if not gate_test.before:
         return [
             Finding(
                 CHECK,
@@ -168,7 +180,7 @@ def judge(seen: GateTest) -> list[Finding]:
                 "carries no UDP",
             )
         ]
-    if seen.fresh:
+    if gate_test.fresh:
         return [
             Finding(
                 CHECK,
@@ -177,11 +189,11 @@ def judge(seen: GateTest) -> list[Finding]:
                 f"two instances could drive a robot. {ProbeReceiver.leak_hint} See {_POLICIES}",
             )
         ]
-    return [*_ways(seen), *_times(seen, where)]
+    return [*_ways(gate_test), *_times(gate_test, where)]
 
 
-def _ways(seen: GateTest) -> Iterator[Finding]:
-    if not seen.others:
+def _ways(gate_test: GateTest) -> Iterator[Finding]:
+    if not gate_test.others:
         yield Finding(
             CHECK,
             "FAIL",
@@ -189,7 +201,7 @@ def _ways(seen: GateTest) -> Iterator[Finding]:
             "namespaceSelector",
             f"a standby would neither receive nor discover anything. Use a network plugin that supports them: {_POLICIES}",
         )
-    if seen.established is None:
+    if gate_test.established is None:
         yield Finding(
             CHECK,
             "WARN",
@@ -199,8 +211,8 @@ def _ways(seen: GateTest) -> Iterator[Finding]:
         )
 
 
-def _times(seen: GateTest, where: str) -> Iterator[Finding]:
-    for word, took in (("opened for a pod", seen.opened), ("taken away", seen.lifted)):
+def _times(gate_test: GateTest, where: str) -> Iterator[Finding]:
+    for word, took in (("opened for a pod", gate_test.opened), ("taken away", gate_test.lifted)):
         if took is None:
             yield Finding(
                 CHECK,
@@ -208,17 +220,22 @@ def _times(seen: GateTest, where: str) -> Iterator[Finding]:
                 f"packets did not come through within {rough(WITHIN)} after the gate was {word}",
                 (
                     "the outputs of a new instance would never reach the robot: see the logs of the network plugin "
-                    f"on {seen.nodes[0]} and {seen.nodes[1]}"
+                    f"on {gate_test.nodes[0]} and {gate_test.nodes[1]}"
                 ),
             )
-    if seen.established is not None and seen.closed is None:
+    if gate_test.established is not None and gate_test.closed is None:
         yield Finding(
             CHECK,
             "WARN",
             f"packets still came {rough(WITHIN)} after an open gate was closed",
             f"the network keeps established flows open, so a failed pod can command the robot until the pod is deleted: {_POLICIES}",
         )
-    moments = {"closed": seen.established, "opened": seen.opened, "closed again": seen.closed, "lifted": seen.lifted}
+    moments = {
+        "closed": gate_test.established,
+        "opened": gate_test.opened,
+        "closed again": gate_test.closed,
+        "lifted": gate_test.lifted,
+    }
     known = {word: took for word, took in moments.items() if took is not None}
     if not known:
         return
@@ -234,10 +251,15 @@ def _times(seen: GateTest, where: str) -> Iterator[Finding]:
     )
 
 
-def to_wire(seen: GateTest) -> Object:
+def to_wire(gate_test: GateTest) -> Object:
     """Return the measurement for scripts, in seconds."""
-    times = {"closed": seen.established, "opened": seen.opened, "closedAgain": seen.closed, "lifted": seen.lifted}
+    times = {
+        "closed": gate_test.established,
+        "opened": gate_test.opened,
+        "closedAgain": gate_test.closed,
+        "lifted": gate_test.lifted,
+    }
     return {
-        "nodes": list(seen.nodes),
+        "nodes": list(gate_test.nodes),
         "seconds": {key: round(took, 4) if took is not None else None for key, took in times.items()},
     }

@@ -81,8 +81,8 @@ class Inside:
 async def answer(inside: Inside, line: str) -> dict[str, Any]:
     """Answer one line: the name of a request and its arguments."""
     try:
-        what, given = json.loads(line)
-        return {"answer": await getattr(inside, what)(**given)}
+        what, arguments = json.loads(line)
+        return {"answer": await getattr(inside, what)(**arguments)}
     except Exception as error:  # whatever the error is, the caller must know it
         return {"error": f"{type(error).__name__}: {error}"}
 

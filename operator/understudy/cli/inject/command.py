@@ -38,42 +38,42 @@ _APPLIES_TO = {
 def main(arguments: list[str]) -> int:
     """Run the command."""
     parser = _parser()
-    given = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     for option, faults in _APPLIES_TO.items():
         option_rules.reject_unless(
             parser,
-            given,
-            given.fault in faults,
+            options,
+            options.fault in faults,
             option,
-            f"applies to {option_rules.listed(faults)}, not to {given.fault}",
+            f"applies to {option_rules.listed(faults)}, not to {options.fault}",
         )
-    length = _length(LENGTH if given.length is None else given.length)
-    kubectl = Kubectl(given)
+    length = _length(LENGTH if options.length is None else options.length)
+    kubectl = Kubectl(options)
     _allowed(kubectl)
-    pod = _pod(kubectl, given.name)
-    means = partition.means(kubectl, given.name, given.whom or ()) if given.fault == "partition" else None
+    pod = _pod(kubectl, options.name)
+    means = partition.means(kubectl, options.name, options.whom or ()) if options.fault == "partition" else None
     confirmation.confirm(
-        f"Pod {pod} is the active instance of {given.name}. {given.fault.capitalize()} it?", yes=given.yes
+        f"Pod {pod} is the active instance of {options.name}. {options.fault.capitalize()} it?", yes=options.yes
     )
-    if given.fault == "kill":
+    if options.fault == "kill":
         kubectl.delete("pod", pod, "--grace-period=0", "--force")
         print(f"{pod} was force-deleted")
     elif means is not None:
         partition.cut_off(kubectl, pod, means, length)
     else:
-        percent = 100 if given.fault == "freeze" else given.percent or PERCENT
-        _stop(kubectl, pod, given.container or _container(kubectl, pod), length, percent)
-    print(f"To see the recovery: understudy timeline -n {kubectl.namespace} {given.name}")
+        percent = 100 if options.fault == "freeze" else options.percent or PERCENT
+        _stop(kubectl, pod, options.container or _container(kubectl, pod), length, percent)
+    print(f"To see the recovery: understudy timeline -n {kubectl.namespace} {options.name}")
     return 0
 
 
-def _length(given: str) -> float:
+def _length(value: str) -> float:
     try:
-        length = seconds(given)
+        length = seconds(value)
     except ValueError as error:
-        raise CommandError(f'--for "{given}": {DURATION_MESSAGE}') from error
+        raise CommandError(f'--for "{value}": {DURATION_MESSAGE}') from error
     if not 0 < length <= LONGEST:
-        raise CommandError(f"--for {given}: give a duration above 0 and up to {LONGEST:g} s")
+        raise CommandError(f"--for {value}: give a duration above 0 and up to {LONGEST:g} s")
     return length
 
 
@@ -103,8 +103,8 @@ def _container(kubectl: Kubectl, pod: str) -> str:
 
 def _stop(kubectl: Kubectl, pod: str, container: str, length: float, percent: int) -> None:
     """Stop the processes all or part of the time, and wait until the fault is over. Raises CommandError."""
-    given = [f"{value:g}" for value in fault_commands.cycles(length, percent)]
-    stopped = kubectl.execute(pod, container, "sh", "-c", fault_commands.FREEZE_AND_SLOW, "sh", *given).split()
+    cycle = [f"{value:g}" for value in fault_commands.cycles(length, percent)]
+    stopped = kubectl.execute(pod, container, "sh", "-c", fault_commands.FREEZE_AND_SLOW, "sh", *cycle).split()
     share = "" if percent >= 100 else f" {percent} % of the time"
     print(
         f"{pod}: {len(stopped) - 1} processes of container {container} are stopped{share}, for {length:g} s", flush=True

@@ -149,14 +149,14 @@ def _message(kind: int, flags: int, family: int, resource: int, attributes: byte
     return struct.pack("=IHHII", 16 + len(body), kind, flags | _REQUEST, 0, 0) + body
 
 
-def run(length: float, given: Sequence[str]) -> None:
+def run(length: float, networks: Sequence[str]) -> None:
     """Cut off from these networks for a time, or until SIGTERM. Prints its progress as lines of JSON. Raises CannotCut."""
     ending = {signal.SIGTERM, signal.SIGINT}
     # Block and wait, because process 1 of a container does not receive signals without a handler.
     signal.pthread_sigmask(signal.SIG_BLOCK, ending)
     if time.time() > float(os.environ[LATEST]):
         raise CannotCut("the container started too late; the caller no longer waits")
-    with cut([ipaddress.ip_network(one) for one in given]):
+    with cut([ipaddress.ip_network(one) for one in networks]):
         print(json.dumps({"cut": time.time(), "process": os.getpid()}), flush=True)
         signal.sigtimedwait(ending, length)
     print(json.dumps({"back": time.time()}), flush=True)

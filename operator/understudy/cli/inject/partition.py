@@ -81,25 +81,25 @@ def _addresses(whom: str, monitor: Object) -> list[str]:
     return [whom]
 
 
-def cut_off(kubectl: Kubectl, pod: str, given: Method, length: float) -> None:
+def cut_off(kubectl: Kubectl, pod: str, means: Method, length: float) -> None:
     """Cut a pod off and wait until it is connected again. Raises CommandError."""
     name = f"partition-{uuid.uuid4().hex[:6]}"
     try:
         with proxied(kubectl) as api:
-            _add_container(api, kubectl.namespace, pod, container(name, given, length))
+            _add_container(api, kubectl.namespace, pod, container(name, means, length))
             _wait_started(api, kubectl.namespace, pod, name)
-        _follow(kubectl, pod, name, length, ", ".join(given.peers) or "the network")
+        _follow(kubectl, pod, name, length, ", ".join(means.peers) or "the network")
     except KeyboardInterrupt:
         raise CommandError(f"container {name} may still cut pod {pod} off, for {length:g} s") from None
 
 
-def container(name: str, given: Method, length: float) -> Object:
+def container(name: str, means: Method, length: float) -> Object:
     """Build the container, without the time after which it must not start."""
     return {
         "name": name,
-        "image": given.image,
-        "imagePullPolicy": given.pull_policy,
-        "command": ["python3", "-IS", "-c", Path(network_cut.__file__).read_text(), f"{length:g}", *given.peers],
+        "image": means.image,
+        "imagePullPolicy": means.pull_policy,
+        "command": ["python3", "-IS", "-c", Path(network_cut.__file__).read_text(), f"{length:g}", *means.peers],
         # Its error message is then in the pod's status.
         "terminationMessagePolicy": "FallbackToLogsOnError",
         "securityContext": {
@@ -168,17 +168,17 @@ def _follow(kubectl: Kubectl, pod: str, name: str, length: float, where: str) ->
     command = kubectl.command("logs", "--follow", pod, "-c", name)
     # Ctrl-C must reach this process only, which still has to undo the fault.
     with subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True) as running:
-        begun: dict[str, Any] = {}
+        started: dict[str, Any] = {}
         try:
-            begun = _next_report(pod, running, PATIENCE) or {}
-            if not begun:
+            started = _next_report(pod, running, PATIENCE) or {}
+            if not started:
                 raise CommandError(_not_cut_off(pod, ""))
             print(f"{pod}: container {name} cut it off from {where}, for {length:g} s", flush=True)
             ended = _next_report(pod, running, length + PATIENCE)
         except KeyboardInterrupt:
-            if not begun:
+            if not started:
                 raise
-            kubectl.execute(pod, name, "sh", "-c", _UNDO, "sh", str(begun["process"]))
+            kubectl.execute(pod, name, "sh", "-c", _UNDO, "sh", str(started["process"]))
             print(f"\n{pod}: it is connected again", flush=True)
             return
         finally:
@@ -189,7 +189,7 @@ def _follow(kubectl: Kubectl, pod: str, name: str, length: float, where: str) ->
             flush=True,
         )
         return
-    lasted = ended["back"] - begun["cut"]
+    lasted = ended["back"] - started["cut"]
     early = ", because the container was stopped" if lasted < length - _EARLY else ""
     print(f"{pod}: it is connected again after {lasted:.1f} s{early}", flush=True)
 

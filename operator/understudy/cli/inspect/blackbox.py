@@ -38,20 +38,20 @@ _PIECE = 1 << 16
 def main(arguments: list[str]) -> int:
     """Run the command."""
     parser = _parser()
-    given = parser.parse_args(arguments)
-    fetches = given.fetch is not None
-    option_rules.reject_unless(parser, given, fetches, "--to", "names the file for --fetch, which is not given")
+    options = parser.parse_args(arguments)
+    fetches = options.fetch is not None
+    option_rules.reject_unless(parser, options, fetches, "--to", "names the file for --fetch, which is not given")
     option_rules.reject_unless(
-        parser, given, not fetches, "--output", "applies to the list, not to --fetch; --to names the file for --fetch"
+        parser, options, not fetches, "--output", "applies to the list, not to --fetch; --to names the file for --fetch"
     )
     try:
-        kubectl = Kubectl(given)
-        with kubectl.forwarded(monitor_pod(kubectl, given.name), names.RECORDINGS_PORT) as port:
+        kubectl = Kubectl(options)
+        with kubectl.forwarded(monitor_pod(kubectl, options.name), names.RECORDINGS_PORT) as port:
             found = _listed(port)
-            if given.fetch is None:
-                return _show(found, given.output or "text")
-            recording = _wanted(found, given.fetch)
-            path = Path(given.to or f"{given.name}-{recording.number}.mcap")
+            if options.fetch is None:
+                return _show(found, options.output or "text")
+            recording = _wanted(found, options.fetch)
+            path = Path(options.to or f"{options.name}-{recording.number}.mcap")
             _fetch(port, recording, path)
     except KeyboardInterrupt:
         return ERROR

@@ -21,13 +21,13 @@ HEALTHY, NOT_HEALTHY = 0, 1
 @reports_errors("explain")
 def main(arguments: list[str]) -> int:
     """Run the command."""
-    given = _parser().parse_args(arguments)
-    known = Facts.of(around(Kubectl(given), given.name))
+    options = _parser().parse_args(arguments)
+    known = Facts.of(around(Kubectl(options), options.name))
     out = sys.stdout
-    if given.output == "text":
+    if options.output == "text":
         print("\n".join(explanation.lines(known, columns=terminal.columns(out), colours=terminal.colours(out))))
     else:
-        print(structured(explanation.for_scripts(known), given.output))
+        print(structured(explanation.for_scripts(known), options.output))
     return HEALTHY if known.is_well else NOT_HEALTHY
 
 

@@ -490,8 +490,8 @@ def _unprotected(known: Facts) -> str:
     problem = next((problem for problem in known.robot.problems if problem.type == "Protected"), None)
     since = f", {age(problem.since, known.observed.now)}" if problem is not None and problem.since else ""
     first = next((one.availability for one in known.considered), None)
-    seen = first is not None and not first.available and found.reason == first.reason
-    words = "the first strategy of its policy cannot run, see above." if seen else found.message
+    is_reported = first is not None and not first.available and found.reason == first.reason
+    words = "the first strategy of its policy cannot run, see above." if is_reported else found.message
     stale = (
         " Its status says that it is: that is a moment old, or the operator is not running." if problem is None else ""
     )

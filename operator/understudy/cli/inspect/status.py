@@ -49,17 +49,17 @@ PATIENCE = 20.0
 def main(arguments: list[str]) -> int:
     """Run the command."""
     parser = _parser()
-    given = parser.parse_args(arguments)
-    if given.watch and given.output in ("json", "yaml"):
+    options = parser.parse_args(arguments)
+    if options.watch and options.output in ("json", "yaml"):
         parser.error(
             "-w cannot be combined with JSON or YAML; scripts can use kubectl wait --for=condition=Protected robotworkload/NAME"
         )
     try:
-        kubectl = Kubectl(given)
-        reader = _ClusterReader(kubectl, given.names, everywhere=given.all_namespaces)
-        if given.watch:
-            return _watch(reader, wide=given.output == "wide")
-        return _once(reader, given.output)
+        kubectl = Kubectl(options)
+        reader = _ClusterReader(kubectl, options.names, everywhere=options.all_namespaces)
+        if options.watch:
+            return _watch(reader, wide=options.output == "wide")
+        return _once(reader, options.output)
     except (KeyboardInterrupt, BrokenPipeError):
         return ERROR
 

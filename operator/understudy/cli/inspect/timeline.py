@@ -21,23 +21,27 @@ EACH = 3
 def main(arguments: list[str]) -> int:
     """Run the command."""
     parser = _parser()
-    given = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     option_rules.reject_unless(
-        parser, given, given.output == "text", "--last", f"applies to text only: {given.output} contains all recoveries"
+        parser,
+        options,
+        options.output == "text",
+        "--last",
+        f"applies to text only: {options.output} contains all recoveries",
     )
-    item = Kubectl(given).get("robotworkloads.understudy.dev", given.name)
+    item = Kubectl(options).get("robotworkloads.understudy.dev", options.name)
     status = status_of(item)
     found, count = status.recoveries or [], status.recovery_count or 0
-    if given.output != "text":
+    if options.output != "text":
         document = {"recoveryCount": count, "recoveries": [recovery.to_wire() for recovery in found]}
         metadata = {key: item["metadata"][key] for key in ("namespace", "name")}
-        print(structured({**metadata, **document}, given.output))
+        print(structured({**metadata, **document}, options.output))
         return 0
     text_lines = recovery_text.lines(
         f"{item['metadata']['namespace']}/{item['metadata']['name']}",
         count,
         found,
-        last=EACH if given.last is None else given.last,
+        last=EACH if options.last is None else options.last,
         now=time.time(),
         columns=terminal.columns(sys.stdout),
         colours=terminal.colours(sys.stdout),

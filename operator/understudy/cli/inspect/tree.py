@@ -33,14 +33,14 @@ PATIENCE = 20.0
 @reports_errors("tree")
 def main(arguments: list[str]) -> int:
     """Run the command."""
-    given = _parser().parse_args(arguments)
+    options = _parser().parse_args(arguments)
     try:
-        kubectl = Kubectl(given)
-        if given.web:
-            return _web(kubectl, given.name)
-        if given.watch:
-            return _watch(kubectl, given.name)
-        return _once(kubectl, given.name, given.output)
+        kubectl = Kubectl(options)
+        if options.web:
+            return _web(kubectl, options.name)
+        if options.watch:
+            return _watch(kubectl, options.name)
+        return _once(kubectl, options.name, options.output)
     except KeyboardInterrupt:
         return HEALTHY
 

@@ -216,9 +216,9 @@ class _Reader:
     def _broken(self, error: yaml.MarkedYAMLError) -> None:
         mark = error.problem_mark or error.context_mark
         problem = ", ".join(part for part in (error.context, error.problem) if part)
-        begun, beyond = error.context_mark, error.problem_mark
-        if begun and beyond and begun.line != beyond.line:
-            problem += f" (started in line {begun.line + 1}, column {begun.column + 1})"
+        start, beyond = error.context_mark, error.problem_mark
+        if start and beyond and start.line != beyond.line:
+            problem += f" (started in line {start.line + 1}, column {start.column + 1})"
         hint = next((hint for found, hint in _HINTS.items() if found in problem), "correct the YAML here")
         if mark and any("{{" in line for line in self._lines[max(mark.line - 1, 0) : mark.line + 1]):
             hint = "render a Helm template first: helm template ... | understudy check -"
@@ -283,7 +283,7 @@ class _Values:
     def __init__(self, reader: _Reader, manifest: Manifest) -> None:
         self._reader, self._manifest = reader, manifest
         self._within: set[int] = set()
-        self._seen: dict[int, str] = {}
+        self._paths: dict[int, str] = {}
         self._alias_reported = False
         self.problems: list[tuple[str, str, Place, bool]] = []
 
@@ -295,16 +295,16 @@ class _Values:
         if id(node) in self._within:
             self._problem(path, "contains itself through an alias (*); write the value out", _place(node))
             return None
-        if id(node) in self._seen and not self._alias_reported:
+        if id(node) in self._paths and not self._alias_reported:
             self._alias_reported = True
             self._problem(
                 path,
-                f"is an alias (*) of {self._seen[id(node)] or 'the top level'}; it has the same value, but the stored object "
+                f"is an alias (*) of {self._paths[id(node)] or 'the top level'}; it has the same value, but the stored object "
                 "contains it twice, so write it out",
                 self._manifest.place(path),
                 warning=True,
             )
-        self._seen.setdefault(id(node), path)
+        self._paths.setdefault(id(node), path)
         self._within.add(id(node))
         try:
             if isinstance(node, MappingNode):

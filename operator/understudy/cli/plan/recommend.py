@@ -39,25 +39,27 @@ _REQUIREMENTS = ("safety", "availability", "resource_usage", "task_criticality")
 def main(arguments: list[str]) -> int:
     """Run the command. The result goes to standard output."""
     parser = _parser()
-    given = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     for option in ("--namespace", "--context", "--kubeconfig"):
-        option_rules.reject_unless(parser, given, not given.no_cluster, option, "cannot be combined with --no-cluster")
-    if given.plot is not None:
-        plot_files.check_plot_file(given.plot)
-    manifests = _read(given.files)
-    levels = {to_camel(name): level for name in _REQUIREMENTS if (level := getattr(given, name))}
-    found = recommended(manifests, given.workload, levels, dict(given.cpu), _recorded(given, manifests))
-    if given.plot is not None and len(found) > 1:
+        option_rules.reject_unless(
+            parser, options, not options.no_cluster, option, "cannot be combined with --no-cluster"
+        )
+    if options.plot is not None:
+        plot_files.check_plot_file(options.plot)
+    manifests = _read(options.files)
+    levels = {to_camel(name): level for name in _REQUIREMENTS if (level := getattr(options, name))}
+    found = recommended(manifests, options.workload, levels, dict(options.cpu), _recorded(options, manifests))
+    if options.plot is not None and len(found) > 1:
         names = ", ".join(one.workload.name for one in found)
         raise CommandError(f"--plot draws one workload, but the files contain {names}: choose one with --workload")
-    if given.output == "text":
+    if options.output == "text":
         print(wrap_labelled("\n\n".join(strategy_table.lines(one) for one in found), terminal.columns(sys.stdout)))
     else:
-        print(structured([one.data() for one in found], given.output))
-    if given.plot is not None:
+        print(structured([one.data() for one in found], options.output))
+    if options.plot is not None:
         from understudy.cli.plan import tradeoff_plot
 
-        tradeoff_plot.draw(given.plot, found[0])
+        tradeoff_plot.draw(options.plot, found[0])
     return NOT_MET if any(order_explanation.unmet_requirements(one.order) for one in found) else MET
 
 
@@ -72,19 +74,21 @@ def _read(files: Sequence[str]) -> list[Manifest]:
     return manifests
 
 
-def _recorded(given: argparse.Namespace, manifests: Sequence[Manifest]) -> dict[tuple[str, str], Object]:
+def _recorded(options: argparse.Namespace, manifests: Sequence[Manifest]) -> dict[tuple[str, str], Object]:
     """Return the workloads in the cluster by the namespace in their file and their name; none if no cluster is configured.
 
     Raises CommandError if a cluster was selected and does not answer.
     """
-    asked = any((given.context, given.kubeconfig, given.namespace))
+    asked = any((options.context, options.kubeconfig, options.namespace))
     known = os.environ.get("KUBECONFIG") or (Path.home() / ".kube" / "config").is_file()
-    if given.no_cluster or not (asked or known):
+    if options.no_cluster or not (asked or known):
         return {}
     found: dict[tuple[str, str], Object] = {}
     try:
         for namespace in sorted({one.namespace for one in manifests if one.kind == "RobotWorkload"}):
-            asking = kubectl.Kubectl(argparse.Namespace(**{**vars(given), "namespace": namespace or given.namespace}))
+            asking = kubectl.Kubectl(
+                argparse.Namespace(**{**vars(options), "namespace": namespace or options.namespace})
+            )
             for item in asking.get("robotworkloads")["items"]:
                 found[(namespace, item["metadata"]["name"])] = item
     except CommandError as error:

@@ -87,13 +87,13 @@ def _recommended(
 ) -> Recommendation:
     near = [one for one in manifests if workload.together(one)]
     wanted = workload.data["spec"]["failurePolicyRef"]["name"]
-    given = {one.name: one for one in near if one.kind == "FailurePolicy"}
-    if wanted not in given:
-        suggestion = f" ({hint(wanted, given)})" if given else ""
+    policies = {one.name: one for one in near if one.kind == "FailurePolicy"}
+    if wanted not in policies:
+        suggestion = f" ({hint(wanted, policies)})" if policies else ""
         raise CommandError(
             f"RobotWorkload {workload.name}: its FailurePolicy {wanted} is not in the files{suggestion}; give its file too"
         )
-    policy = given[wanted]
+    policy = policies[wanted]
     stated = FailurePolicySpec.model_validate(policy.data["spec"]).requirements
     requirements = Requirements.model_validate({**(stated.to_wire() if stated is not None else {}), **levels})
     offered = {one.name: one.data for one in near if one.kind == "FallbackPool"}

@@ -29,29 +29,29 @@ RISK_OF = "loss"
 def main(arguments: list[str]) -> int:
     """Run the command. The result goes to standard output."""
     parser = _parser()
-    given = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     option_rules.reject_unless(
-        parser, given, given.risk is not None, "--risk-of", "applies to --risk, which is not given"
+        parser, options, options.risk is not None, "--risk-of", "applies to --risk, which is not given"
     )
     question = Question(
-        robots=given.robots,
-        failures_per_robot_hour=given.failures_per_robot_hour,
-        recovery=given.recovery,
-        refill=given.refill or given.recovery,
-        restart=given.restart or 2 * given.recovery,
-        cpu=given.fallback_cpu,
+        robots=options.robots,
+        failures_per_robot_hour=options.failures_per_robot_hour,
+        recovery=options.recovery,
+        refill=options.refill or options.recovery,
+        restart=options.restart or 2 * options.recovery,
+        cpu=options.fallback_cpu,
     )
-    if given.plot is not None:
-        plot_files.check_plot_file(given.plot)
-    size = calculate(question, given.fallbacks, given.risk, given.risk_of or RISK_OF)
-    if given.output == "text":
+    if options.plot is not None:
+        plot_files.check_plot_file(options.plot)
+    size = calculate(question, options.fallbacks, options.risk, options.risk_of or RISK_OF)
+    if options.output == "text":
         print(wrap_labelled(size_text(size), terminal.columns(sys.stdout)))
     else:
-        print(structured(size.data(), given.output))
-    if given.plot is not None:
+        print(structured(size.data(), options.output))
+    if options.plot is not None:
         from understudy.cli.plan import size_plot
 
-        size_plot.draw(given.plot, size)
+        size_plot.draw(options.plot, size)
     return 0
 
 

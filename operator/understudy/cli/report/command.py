@@ -21,32 +21,32 @@ from understudy.cli.report.recovery_records import Findings, Span, findings
 @reports_errors("report")
 def main(arguments: list[str]) -> int:
     """Run the command."""
-    given = _parser().parse_args(arguments)
+    options = _parser().parse_args(arguments)
     now = time.time()
-    period = _period(given, now)
-    kubectl = Kubectl(given)
-    items = _robots(kubectl, given)
-    pods, unknown = _pods(kubectl, given)
+    period = _period(options, now)
+    kubectl = Kubectl(options)
+    items = _robots(kubectl, options)
+    pods, unknown = _pods(kubectl, options)
     found = findings(items, period, pods, pods_unknown=unknown)
     data = sheets(found)
-    where = _where(found, given)
-    _write(Path(given.output), page(found, data, where=where, made=now))
-    if given.csv is not None:
+    where = _where(found, options)
+    _write(Path(options.output), page(found, data, where=where, made=now))
+    if options.csv is not None:
         for name, text in data.items():
-            _write(Path(given.csv, name), text)
-    print(_summary(found, given))
+            _write(Path(options.csv, name), text)
+    print(_summary(found, options))
     return 0
 
 
-def _robots(kubectl: Kubectl, given: argparse.Namespace) -> Sequence[Mapping[str, Any]]:
+def _robots(kubectl: Kubectl, options: argparse.Namespace) -> Sequence[Mapping[str, Any]]:
     """Return the selected RobotWorkloads. Raises CommandError, also if there are none."""
-    answer = kubectl.get(WORKLOADS, *given.names, *(["-A"] if given.all_namespaces else []))
+    answer = kubectl.get(WORKLOADS, *options.names, *(["-A"] if options.all_namespaces else []))
     items: list[Mapping[str, Any]] = answer.get("items", [answer])
     if items:
         return items
-    if given.namespace and not _may_be_there(kubectl, given.namespace):
-        raise CommandError(f"namespace {given.namespace} does not exist")
-    where = "the cluster" if given.all_namespaces else "this namespace (use -n NAMESPACE or -A)"
+    if options.namespace and not _may_be_there(kubectl, options.namespace):
+        raise CommandError(f"namespace {options.namespace} does not exist")
+    where = "the cluster" if options.all_namespaces else "this namespace (use -n NAMESPACE or -A)"
     raise CommandError(f"there is no RobotWorkload in {where}")
 
 
@@ -58,9 +58,9 @@ def _may_be_there(kubectl: Kubectl, namespace: str) -> bool:
         return True
 
 
-def _pods(kubectl: Kubectl, given: argparse.Namespace) -> tuple[Sequence[Mapping[str, Any]], str]:
+def _pods(kubectl: Kubectl, options: argparse.Namespace) -> tuple[Sequence[Mapping[str, Any]], str]:
     """Return the pods of robots and pools, and the reason if they cannot be listed, in which case the report is written without them."""
-    where, found = ["-A"] if given.all_namespaces else [], {}
+    where, found = ["-A"] if options.all_namespaces else [], {}
     try:
         for label in (names.WORKLOAD, names.MONITORED, names.POOL):  # they may be few of the cluster's pods
             for pod in kubectl.get("pods", *where, "-l", label)["items"]:
@@ -70,13 +70,13 @@ def _pods(kubectl: Kubectl, given: argparse.Namespace) -> tuple[Sequence[Mapping
     return list(found.values()), ""
 
 
-def _period(given: argparse.Namespace, now: float) -> Span:
-    end = min(now, _moment("--to", given.to)) if given.to else now
-    if given.from_:
-        begin = _moment("--from", given.from_)
+def _period(options: argparse.Namespace, now: float) -> Span:
+    end = min(now, _moment("--to", options.to)) if options.to else now
+    if options.from_:
+        begin = _moment("--from", options.from_)
     else:
         try:
-            begin = end - base.seconds(given.since)
+            begin = end - base.seconds(options.since)
             datetime.fromtimestamp(begin, UTC)
         except (ValueError, OverflowError, OSError) as error:  # also for dates before year 1
             raise CommandError(f"--since: {error}") from error
@@ -96,11 +96,11 @@ def _moment(option: str, text: str) -> float:
         ) from None
 
 
-def _where(found: Findings, given: argparse.Namespace) -> str:
-    if given.names:
+def _where(found: Findings, options: argparse.Namespace) -> str:
+    if options.names:
         return ", ".join(found.named(robot_period.robot) for robot_period in found.robot_periods)
     namespaces = sorted({robot_period.robot.namespace for robot_period in found.robot_periods})
-    return "all namespaces" if given.all_namespaces else f"namespace {namespaces[0]}"
+    return "all namespaces" if options.all_namespaces else f"namespace {namespaces[0]}"
 
 
 def _write(path: Path, text: str) -> None:
@@ -111,10 +111,10 @@ def _write(path: Path, text: str) -> None:
         raise CommandError(f"{path} cannot be written: {error.strerror}; give another path") from error
 
 
-def _summary(found: Findings, given: argparse.Namespace) -> str:
+def _summary(found: Findings, options: argparse.Namespace) -> str:
     entries, lost = found.entries, len(found.incomplete)
     text = (
-        f"{given.output}: {counted(len(found.robot_periods), 'robot')}, {counted(len(entries), 'recovery', 'recoveries')} from "
+        f"{options.output}: {counted(len(found.robot_periods), 'robot')}, {counted(len(entries), 'recovery', 'recoveries')} from "
         f"{clock(found.period.begin)} to {clock(found.period.end)}"
     )
     if lost:

@@ -31,11 +31,11 @@ CONSISTENT, CONTRADICTED = 0, 1
 @reports_errors("learn")
 def main(arguments: list[str]) -> int:
     """Run the command. The leaves go to standard output."""
-    given = _parser().parse_args(arguments)
-    with Bag.open(given.bag) as bag:
-        learned = [_learn(bag, name, given.factor, given.margin) for name in dict.fromkeys(given.topic)]
+    options = _parser().parse_args(arguments)
+    with Bag.open(options.bag) as bag:
+        learned = [_learn(bag, name, options.factor, options.margin) for name in dict.fromkeys(options.topic)]
         failures = _tried([leaf for leaf, _, _ in learned], bag)
-        for line in _text(bag, learned, given.factor, given.margin):
+        for line in _text(bag, learned, options.factor, options.margin):
             print(plain(line))
         for failure in failures:
             print(

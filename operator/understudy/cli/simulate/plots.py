@@ -79,11 +79,11 @@ def _messages(axes: Any, row: int, times: array[float], start: float, length: fl
             shown.append(moment - start)
     axes.vlines(shown, row + 0.08, row + 0.3, color=_INK, linewidth=72 / DOTS)
     gaps = [(one, later) for one, later in pairwise([start, *times, start + length]) if later - one > length / 25]
-    for begun, ended in sorted(gaps, key=lambda gap: gap[0] - gap[1])[:4]:
-        middle = (begun + ended) / 2 - start
-        words = f"{duration(float(f'{ended - begun:.3g}'))} without"
+    for begin, ended in sorted(gaps, key=lambda gap: gap[0] - gap[1])[:4]:
+        middle = (begin + ended) / 2 - start
+        words = f"{duration(float(f'{ended - begin:.3g}'))} without"
         axes.annotate(
-            words if ended - begun > length / 8 else words.removesuffix(" without"),
+            words if ended - begin > length / 8 else words.removesuffix(" without"),
             (middle, row + 0.19),
             ha="center",
             va="center",

@@ -22,29 +22,31 @@ NOTHING, DETECTED = 0, 1
 @reports_errors("simulate")
 def main(arguments: list[str]) -> int:
     """Run the command. The result goes to standard output."""
-    given = _parser().parse_args(arguments)
-    report, detected = _simulated(given)
+    options = _parser().parse_args(arguments)
+    report, detected = _simulated(options)
     terminal.write([report])
     return DETECTED if detected else NOTHING
 
 
-def _simulated(given: argparse.Namespace) -> tuple[str, bool]:
+def _simulated(options: argparse.Namespace) -> tuple[str, bool]:
     """Return the output, and whether a failure was detected. Raises CommandError."""
-    if given.plot is not None:
-        plot_files.check_plot_file(given.plot)
-    policy = policy_file.read(given.policy_file, given.policy, given.grace)
-    with Bag.open(given.bag) as bag:
+    if options.plot is not None:
+        plot_files.check_plot_file(options.plot)
+    policy = policy_file.read(options.policy_file, options.policy, options.grace)
+    with Bag.open(options.bag) as bag:
         try:
-            times = [fault_times.parse(text, bag.start, bag.end) for text in given.onset]
+            times = [fault_times.parse(text, bag.start, bag.end) for text in options.onset]
         except ValueError as error:
             raise CommandError(f"--onset: {error}") from error
         found = replay(policy.tree(bag.definitions.fields), policy.debounce, bag)
         report = Report(policy, bag, found, times)
-        written = report.text() if given.output == "text" else structured(report.data(), given.output)
-        if given.plot is not None:
+        written = report.text() if options.output == "text" else structured(report.data(), options.output)
+        if options.plot is not None:
             from understudy.cli.simulate import plots
 
-            plots.draw(given.plot, f"Policy {policy.name} over {Path(bag.path).name}", found, bag.start, bag.end, times)
+            plots.draw(
+                options.plot, f"Policy {policy.name} over {Path(bag.path).name}", found, bag.start, bag.end, times
+            )
         return written, bool(found.evaluation.detections)
 
 

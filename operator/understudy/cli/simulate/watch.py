@@ -34,10 +34,10 @@ OF_CLUSTER = "needs the cluster, which this command does not use: not evaluated"
 @reports_errors("watch")
 def main(arguments: list[str]) -> int:
     """Run the command. The state of the tree goes to standard output, the result to standard error."""
-    given = _parser().parse_args(arguments)
-    policy = policy_file.read(given.policy_file, given.policy, given.grace)
+    options = _parser().parse_args(arguments)
+    policy = policy_file.read(options.policy_file, options.policy, options.grace)
     with _joined() as watching:
-        evaluation = _watch(policy, watching, given.length)
+        evaluation = _watch(policy, watching, options.length)
     return _end(evaluation)
 
 

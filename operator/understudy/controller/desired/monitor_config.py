@@ -38,7 +38,7 @@ def config_map(observed: Observed, workload_plan: WorkloadPlan, environment: Map
             kube_objects.name(workload), workload_plan.spec, workload_plan.template
         ),
         pools=choices(observed, workload_plan),
-        drain=node_drain.seen(observed),
+        drain=node_drain.drain_of(observed),
         strategies=effective_policy.chosen(observed),
         situation=_situation(observed),
         upstream=dependency_graph.upstream(observed.dependencies, kube_objects.name(workload)),

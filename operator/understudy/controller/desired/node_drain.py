@@ -24,7 +24,7 @@ from understudy.kube.client import Object
 CONDITION = "Draining"
 
 
-def seen(observed: Observed) -> Drain | None:
+def drain_of(observed: Observed) -> Drain | None:
     """Return the drain to report to the monitor; None unless the node of the active instance is cordoned."""
     active, cordoned = observed.active, observed.cordoned
     if active is None or (node := leaving_nodes.of(active)) not in cordoned:
@@ -68,7 +68,7 @@ def hold(observed: Observed, workload_plan: WorkloadPlan) -> Hold:
             "OtherBudget",
             f"PodDisruptionBudget {other}, which Understudy does not manage, selects this pod, and a pod can have only one",
         )
-    if (drain := seen(observed)) is None:
+    if (drain := drain_of(observed)) is None:
         return Hold("Held", "", holds=True)
     until = drain.since + length
     if observed.now >= until:
@@ -97,7 +97,7 @@ def budget(workload: str, active: Object) -> Object:
 
 def conditions(observed: Observed, workload_plan: WorkloadPlan) -> list[Condition]:
     """Return the condition Draining; empty unless the node is drained."""
-    active, drain = observed.active, seen(observed)
+    active, drain = observed.active, drain_of(observed)
     if workload_plan.spec is None or drain is None or active is None:
         return []
     found = hold(observed, workload_plan)

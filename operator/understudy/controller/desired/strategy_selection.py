@@ -69,14 +69,14 @@ def order(
 def strategies(policy: Object, order: Order) -> list[Strategy]:
     """Return the strategies that replace a policy's Auto, each with the times that Auto gives."""
     auto = _auto(policy)
-    given = {} if auto is None else {key: auto[key] for key in ("verifyWithin",) if key in auto}
+    common_fields = {} if auto is None else {key: auto[key] for key in ("verifyWithin",) if key in auto}
     found = []
     for one in order.chosen:
         if one.candidate.way == "Restart":
-            found.append(Strategy.model_validate({"type": "Restart", **given}))
+            found.append(Strategy.model_validate({"type": "Restart", **common_fields}))
         else:
             pool = LocalReference(name=one.candidate.pool)
-            found.append(Strategy.model_validate({"type": "Fallback", "poolRef": pool, **given}))
+            found.append(Strategy.model_validate({"type": "Fallback", "poolRef": pool, **common_fields}))
     return found
 
 

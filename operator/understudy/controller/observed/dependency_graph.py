@@ -76,13 +76,13 @@ def first_circle(known: Graph, name: str) -> list[str] | None:
 
 def _reached(known: Graph, name: str) -> Iterator[str]:
     """Yield a workload and all its dependencies, the nearest first."""
-    seen, queue = {name}, deque([name])
+    visited, queue = {name}, deque([name])
     while queue:
         at = queue.popleft()
         yield at
         for following in known.get(at, ()):
-            if following not in seen:
-                seen.add(following)
+            if following not in visited:
+                visited.add(following)
                 queue.append(following)
 
 

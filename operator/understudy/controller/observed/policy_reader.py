@@ -128,10 +128,10 @@ def tree_in_force(policy: Object, config_maps: Mapping[str, Object]) -> Object |
 
 def storm_guard(policy: Object) -> StormGuard | None:
     """Return the policy's storm guard; None if it has none, or an invalid one."""
-    given = ((policy.get("spec") or {}).get("limits") or {}).get("stormGuard")
-    if not given:
+    guard = ((policy.get("spec") or {}).get("limits") or {}).get("stormGuard")
+    if not guard:
         return None  # most policies have none, so there is nothing to parse
     try:
-        return StormGuard.model_validate(given)
+        return StormGuard.model_validate(guard)
     except ValidationError:
         return None

@@ -269,11 +269,11 @@ def literal_environment(template: Mapping[str, Any], ros: Mapping[str, str]) -> 
 
 
 def _container(container: Object, recipe: Recipe, scope: freeze_script.Scope) -> Object:
-    given = {entry["name"] for entry in container.get("env") or []}
-    added = [entry for entry in variables(recipe.variables) if entry["name"] not in given]
+    names_set = {entry["name"] for entry in container.get("env") or []}
+    added = [entry for entry in variables(recipe.variables) if entry["name"] not in names_set]
     made = {**container, "env": [*(container.get("env") or []), *added]}
     if recipe.profiles:
-        if names.POD_VARIABLE not in given:
+        if names.POD_VARIABLE not in names_set:
             made["env"].append(from_field(names.POD_VARIABLE, "metadata.name"))
         made["volumeMounts"] = [*(container.get("volumeMounts") or []), _profiles_mount(recipe)]
     return _held(made, recipe, scope) if recipe.held else made

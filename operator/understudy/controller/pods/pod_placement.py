@@ -46,11 +46,11 @@ def _spread(spec: Object, labels: Mapping[str, str]) -> None:
         "whenUnsatisfiable": "ScheduleAnyway",
         "labelSelector": {"matchLabels": dict(labels)},
     }
-    given = spec.get("topologySpreadConstraints") or []
+    constraints = spec.get("topologySpreadConstraints") or []
     if not any(
-        (one.get("topologyKey"), one.get("whenUnsatisfiable")) == (_HOSTNAME, "ScheduleAnyway") for one in given
+        (one.get("topologyKey"), one.get("whenUnsatisfiable")) == (_HOSTNAME, "ScheduleAnyway") for one in constraints
     ):
-        spec["topologySpreadConstraints"] = [*given, ours]
+        spec["topologySpreadConstraints"] = [*constraints, ours]
 
 
 def away_from(labels: Mapping[str, str], weight: int) -> Object:
@@ -61,13 +61,13 @@ def away_from(labels: Mapping[str, str], weight: int) -> Object:
 
 def leave_lost_nodes(spec: Object) -> None:
     """Replace a pod on a lost node after LOST_SECONDS, instead of Kubernetes' five minutes without an understudy."""
-    given = spec.get("tolerations") or []
+    tolerations = spec.get("tolerations") or []
     spec["tolerations"] = [
-        *given,
+        *tolerations,
         *(
             {"key": key, "operator": "Exists", "effect": "NoExecute", "tolerationSeconds": LOST_SECONDS}
             for key in ("node.kubernetes.io/not-ready", "node.kubernetes.io/unreachable")
-            if not any(_tolerates(toleration, key) for toleration in given)
+            if not any(_tolerates(toleration, key) for toleration in tolerations)
         ),
     ]
 

@@ -79,7 +79,7 @@ def sized(pool: Object, spec: FallbackPoolSpec, asking: Sequence[Object], now: f
     sizing = spec.sizing
     if sizing is None:
         return None
-    found = seen(kube_objects.name(pool), asking, now - seconds(sizing.history), now)
+    found = robot_history(kube_objects.name(pool), asking, now - seconds(sizing.history), now)
     rate = estimate_rate(sizing.failures_per_robot_hour, found.failures, found.hours)
     aim = SizingTarget(
         risk=fraction(sizing.risk),
@@ -97,7 +97,7 @@ def sized(pool: Object, spec: FallbackPoolSpec, asking: Sequence[Object], now: f
     return Sized(sizing, rate, decision, status, before, short)
 
 
-def seen(pool: str, asking: Iterable[Object], begin: float, now: float) -> RobotHistory:
+def robot_history(pool: str, asking: Iterable[Object], begin: float, now: float) -> RobotHistory:
     """Return how often workloads asked for a pod of a pool since ``begin``, and for how many hours they were observed."""
     robots, failures, hours = 0, 0, 0.0
     for workload in asking:

@@ -74,11 +74,11 @@ def _outcome(pod: Object, index: int, resize: Resize) -> ResizeOutcome:
         words = f'FailurePolicy: {field}: pod {kube_objects.name(pod)} has no container "{name}" ({known})'
         return ResizeOutcome("ContainerNotFound", words)
     subject = f"container {name} of pod {kube_objects.name(pod)}"
-    amounts = ", ".join(f"{resource} {given}" for resource, given in resize.amounts.items())
+    amounts = ", ".join(f"{resource} {resources}" for resource, resources in resize.amounts.items())
     more = raised(container.get("resources") or {}, resize.amounts)
     if not more:
         return _progress(pod, name, resize, f"{subject} has {amounts}", f"{subject} is to have {amounts}")
-    restarting = _restarting(container) & {resource for given in more.values() for resource in given}
+    restarting = _restarting(container) & {resource for resources in more.values() for resource in resources}
     if restarting:
         words = (
             f"{subject} is not resized to {amounts}, because that would restart it: its resizePolicy for "
@@ -97,10 +97,12 @@ def raised(present: Mapping[str, Mapping[str, str]], amounts: Mapping[str, str])
     """
     requests, limits = present.get("requests") or {}, present.get("limits") or {}
     more = {
-        "requests": {r: given for r, given in amounts.items() if r not in requests or _less(requests[r], given)},
-        "limits": {r: given for r, given in amounts.items() if r in limits and _less(limits[r], given)},
+        "requests": {
+            r: resources for r, resources in amounts.items() if r not in requests or _less(requests[r], resources)
+        },
+        "limits": {r: resources for r, resources in amounts.items() if r in limits and _less(limits[r], resources)},
     }
-    return {kind: given for kind, given in more.items() if given}
+    return {kind: resources for kind, resources in more.items() if resources}
 
 
 def _less(present: str, wanted: str) -> bool:
@@ -115,7 +117,7 @@ def _restarting(container: Object) -> set[str]:
     }
 
 
-def _progress(pod: Object, name: str, resize: Resize, done: str, begun: str) -> ResizeOutcome:
+def _progress(pod: Object, name: str, resize: Resize, done: str, message: str) -> ResizeOutcome:
     """Return the outcome of a resize as the kubelet reports it in the pod's status."""
     status = pod.get("status") or {}
     conditions = {c["type"]: c for c in status.get("conditions") or [] if c["status"] == "True"}
@@ -123,13 +125,13 @@ def _progress(pod: Object, name: str, resize: Resize, done: str, begun: str) -> 
         reason = pending.get("reason") or "Deferred"
         advice = f". {_ADVICE[reason]}" if reason in _ADVICE else ""
         return ResizeOutcome(
-            reason, f"{begun}, but not now: {pending.get('message', '').rstrip('.') or reason}{advice}"
+            reason, f"{message}, but not now: {pending.get('message', '').rstrip('.') or reason}{advice}"
         )
     if (doing := conditions.get("PodResizeInProgress")) is not None:
         failed = f": {doing['message'].rstrip('.')}" if doing.get("message") else ""
-        return ResizeOutcome("ResizeError" if doing.get("reason") == "Error" else "InProgress", f"{begun}{failed}")
+        return ResizeOutcome("ResizeError" if doing.get("reason") == "Error" else "InProgress", f"{message}{failed}")
     statuses = {one["name"]: one for one in status.get("containerStatuses") or []}
     in_force = statuses.get(name, {}).get("resources")
     if in_force is not None and raised(in_force, resize.amounts):
-        return ResizeOutcome("InProgress", begun)
+        return ResizeOutcome("InProgress", message)
     return ResizeOutcome("Resized", done)

@@ -149,7 +149,7 @@ class Store:
         self._gone[item["metadata"].get("uid", "")] = (version(item), now)
         if now - self._swept >= REMEMBERED_SECONDS / 10:
             self._swept = now
-            self._gone = {uid: seen for uid, seen in self._gone.items() if now - seen[1] < REMEMBERED_SECONDS}
+            self._gone = {uid: entry for uid, entry in self._gone.items() if now - entry[1] < REMEMBERED_SECONDS}
 
     def _unindex(self, resource: Resource, place: tuple[str, str], old: Object | None) -> None:
         if old is None:

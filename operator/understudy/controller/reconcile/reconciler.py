@@ -165,7 +165,7 @@ class Reconciler:
         raised = await self._resize(key, observed, workload_plan)
         if problems or any(one.reason == "Refused" for one in raised):
             again = FORGET_REFUSAL
-        observed = self._seen(observed)
+        observed = self._with_written_objects(observed)
         status = workload_status.status(observed, workload_plan, problems, in_place_resize.judged(raised))
         return _earliest(plan.again_after, again, turn, await self._write_status(WORKLOADS, observed.workload, status))
 
@@ -180,7 +180,7 @@ class Reconciler:
             found.append(in_place_resize.refused(outcome, problems[0]) if problems else outcome)
         return found
 
-    def _seen(self, observed: Observed) -> Observed:
+    def _with_written_objects(self, observed: Observed) -> Observed:
         """Return the observed state with the objects just written, so that the status is not one step behind."""
         return dataclasses.replace(observed, owned=self._store.owned(kube_objects.uid(observed.workload)))
 
@@ -206,12 +206,12 @@ class Reconciler:
         problems = await self._executor.run(key, plan.writes)
         if problems:
             again = FORGET_REFUSAL
-        seen = dataclasses.replace(
+        observed_now = dataclasses.replace(
             observed,
             owned=self._store.owned(kube_objects.uid(item)),
             pods=self._store.labelled(PODS, key.namespace, names.POOL, key.name),
         )
-        later = await self._count(key, item, pool_status.status(seen, pool_plan, problems))
+        later = await self._count(key, item, pool_status.status(observed_now, pool_plan, problems))
         self._measure(key, pool_plan.sized)
         if pool_plan.sized is not None and (change := pool_size.change(pool_plan.sized)) is not None:
             await self._recorder.normal(item, "Resized", change)

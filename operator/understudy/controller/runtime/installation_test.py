@@ -194,8 +194,10 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument(
         "--no-admission", action="store_true", help="do not check the admission policy, because it is not installed"
     )
-    given = parser.parse_args(argv)
-    place = Place(os.environ["UNDERSTUDY_NAMESPACE"], given.operator, os.environ["POD_NAME"], not given.no_admission)
+    options = parser.parse_args(argv)
+    place = Place(
+        os.environ["UNDERSTUDY_NAMESPACE"], options.operator, os.environ["POD_NAME"], not options.no_admission
+    )
     found = asyncio.run(verify(default_access(), place))
     for what, problem in found.items():
         print(f"FAILED  {what}: {problem}" if problem else f"ok      {what}")

@@ -222,20 +222,22 @@ def options(argv: Sequence[str]) -> tuple[argparse.Namespace, Options]:
         metavar="LEVEL",
         help="debug, info, warning or error (default: UNDERSTUDY_LOG_LEVEL, or else info)",
     )
-    given = parser.parse_args(argv)
-    if not given.monitor_image:
+    parsed = parser.parse_args(argv)
+    if not parsed.monitor_image:
         parser.error("--monitor-image (or UNDERSTUDY_MONITOR_IMAGE) is required: the image of monitors and agents")
-    secrets = given.image_pull_secret or (environment("UNDERSTUDY_IMAGE_PULL_SECRETS") or "").split(",")
-    watched = [n for n in given.watch_namespace or (environment("UNDERSTUDY_WATCH_NAMESPACES") or "").split(",") if n]
-    return given, Options(
-        images=Images(given.monitor_image, given.image_pull_policy, tuple(filter(None, secrets)), given.priority_class),
-        lease_namespace=given.lease_namespace,
-        lease=given.lease,
-        identity=given.identity,
+    secrets = parsed.image_pull_secret or (environment("UNDERSTUDY_IMAGE_PULL_SECRETS") or "").split(",")
+    watched = [n for n in parsed.watch_namespace or (environment("UNDERSTUDY_WATCH_NAMESPACES") or "").split(",") if n]
+    return parsed, Options(
+        images=Images(
+            parsed.monitor_image, parsed.image_pull_policy, tuple(filter(None, secrets)), parsed.priority_class
+        ),
+        lease_namespace=parsed.lease_namespace,
+        lease=parsed.lease,
+        identity=parsed.identity,
         namespaces=tuple(watched),
-        resync_every=given.resync,
-        rollout_percent=given.rollout_percent,
-        port=given.port,
+        resync_every=parsed.resync,
+        rollout_percent=parsed.rollout_percent,
+        port=parsed.port,
     )
 
 
@@ -253,10 +255,10 @@ def _own_namespace() -> str:
 
 def main(argv: Sequence[str]) -> int:
     """Run the operator, and return the exit status."""
-    given, chosen = options(argv)
-    json_logs.configure(given.log_level)
+    parsed, chosen = options(argv)
+    json_logs.configure(parsed.log_level)
     try:
-        access = load_access(given.kubeconfig) if given.kubeconfig else default_access()
+        access = load_access(parsed.kubeconfig) if parsed.kubeconfig else default_access()
     except KubeconfigError as error:
         print(f"understudy operator: {error}", file=sys.stderr)
         return 1

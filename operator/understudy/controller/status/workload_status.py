@@ -90,8 +90,8 @@ def transitions(live: Object, desired: Object) -> list[Object]:
             continue
         if before is not None and (before["status"], before["reason"]) == (new["status"], new["reason"]):
             continue
-        begun = before is None or before["status"] != "True"
-        if begun and new["status"] == "False" and new["reason"] in PROGRESSING:
+        was_not_true = before is None or before["status"] != "True"
+        if was_not_true and new["status"] == "False" and new["reason"] in PROGRESSING:
             continue
         found.append(new)
     return found

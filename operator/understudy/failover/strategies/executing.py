@@ -107,8 +107,8 @@ class ExecutingFallback(Strategy):
     ) -> Instance:
         """Close the gate, bring a standby up, open the gate for it."""
         end = loop_time() + within
-        begun = progress.target.uid if progress.target is not None else ""  # by an earlier monitor
-        target = min(candidates, key=lambda i: (i.uid != begun, i.pool != self.pool, i.created, i.name))
+        target_uid = progress.target.uid if progress.target is not None else ""  # by an earlier monitor
+        target = min(candidates, key=lambda i: (i.uid != target_uid, i.pool != self.pool, i.created, i.name))
         await close(progress, context)
         progress.target = PodIdentity(name=target.name, uid=target.uid)
         progress.charge("cluster", context.clock())

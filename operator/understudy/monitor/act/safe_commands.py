@@ -122,11 +122,11 @@ class SafeCommands:
                 begins = loop.time() + min(since + self._after - time.time(), self._after)
             known, wait = since, period
             if since is not None:
-                begun = loop.time()
-                wait = begins - begun
+                started_at = loop.time()
+                wait = begins - started_at
                 if wait <= 0:
                     failing = self._publish(commander, failing)
-                    wait = max(0.0, begun + period - loop.time())
+                    wait = max(0.0, started_at + period - loop.time())
             await asyncio.sleep(min(wait, period) if wait > 0 else 0)
 
     def _publish(self, commander: Commander, failing: bool) -> bool:

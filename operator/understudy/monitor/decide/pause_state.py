@@ -30,35 +30,35 @@ class PauseState:
     @property
     def on(self) -> Pause | None:
         """The pause that was in force at the last update; None if there was none."""
-        given, in_force = self._known
-        return given if in_force else None
+        pause, in_force = self._known
+        return pause if in_force else None
 
     def update(self, now: float) -> None:
         """Check whether a pause is in force, and report a change."""
         spec = self._view.spec
         if spec is None:
             return
-        given = spec.pause
-        in_force = given is not None and given.in_force(now)
+        current = spec.pause
+        in_force = current is not None and current.in_force(now)
         if in_force:
             self.ended = now
             self._resumed = self._annotation(names.RESUMED)
         before = self._known
-        if (given, in_force) == before and not self._adopted:
+        if (current, in_force) == before and not self._adopted:
             return
-        self._known, self._adopted = (given, in_force), False
+        self._known, self._adopted = (current, in_force), False
         self._notices.add(PauseChanged(in_force))
-        if given is None:
+        if current is None:
             self._notices.withdraw(CONDITION)
         elif in_force:
-            self._begin(given, is_new=before != (given, True))
+            self._begin(current, is_new=before != (current, True))
         else:
-            message = f"The pause is over, and spec.pause can be removed. The workload was {given.words}."
+            message = f"The pause is over, and spec.pause can be removed. The workload was {current.words}."
             self._notices.condition(CONDITION, "False", "Over", message)
         if before[1] and not in_force and before[0] is not None:
             pause, why = (
                 before[0],
-                f"spec.pause was removed{self._words()}" if given is None else "the pause reached its end",
+                f"spec.pause was removed{self._words()}" if current is None else "the pause reached its end",
             )
             _logger.warning("no longer %s: %s", pause.words, why)
             self._notices.event("Normal", "PauseEnded", f"No longer {pause.words}; {why}")

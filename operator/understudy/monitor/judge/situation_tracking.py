@@ -56,15 +56,15 @@ class SituationTracking:
             if published is not None:
                 self._situations.adopt(published.name, clock)
         rules = [Rule(one.name, seconds(one.after), seconds(one.clear_after)) for one in policy.situations]
-        seen = (
+        states = (
             self._observer.situations(self._notices.status.goals, now=now, since=since)
             if verdict.state == "Healthy"
             else {}
         )
         settled = clock - self._started >= HEARING
-        found = self._situations.note(rules, {name: one.so for name, one in seen.items() if one.so or settled}, clock)
+        found = self._situations.note(rules, {name: one.so for name, one in states.items() if one.so or settled}, clock)
         if found != (published.name if published is not None else None):
-            self._report(found, seen[found].reason if found is not None and found in seen else "", now)
+            self._report(found, states[found].reason if found is not None and found in states else "", now)
 
     def _report(self, name: str | None, reason: str, now: float) -> None:
         before = self._notices.status.situation

@@ -351,7 +351,7 @@ class AgentConnections:
     async def _give(self, instance: Instance, state: KeptState, end: float) -> RestoreReport:
         """Restore a part of the state that fits into one request, until ``end`` by the loop's clock."""
         loop = asyncio.get_running_loop()
-        begun, problem = loop.time(), "its agent is not connected"
+        started_at, problem = loop.time(), "its agent is not connected"
         wire = await asyncio.to_thread(state.to_wire)
         while (rest := end - loop.time()) > 0:
             try:
@@ -366,7 +366,7 @@ class AgentConnections:
             except (AgentGone, TimeoutError) as error:
                 problem = str(error) or problem
                 await asyncio.sleep(RETRY)
-        return state.none_restored(f"{problem} within {end - begun:.3g} s")
+        return state.none_restored(f"{problem} within {end - started_at:.3g} s")
 
     async def inspect(self, instance: Instance, body: Mapping[str, Any], within: float) -> dict[str, Any]:
         """Return parameters and lifecycle states of an instance's nodes, as its agent reads them. Raises AgentGone, AgentRefused."""

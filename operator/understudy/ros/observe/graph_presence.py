@@ -33,31 +33,31 @@ class _GraphChecks(Generic[Seen]):
     def __init__(self, graph: Graph, counts: Callable[[bytes], bool]) -> None:
         """``counts`` returns whether the endpoint with a GID counts."""
         self._graph, self._counts = graph, counts
-        self._seen: dict[str, Seen | None] = {}
+        self._records: dict[str, Seen | None] = {}
         self._next = self._again = 0.0
 
     def follow(self, names: Iterable[str]) -> None:
         """Check these names, fully qualified, and no others."""
-        self._seen = {name: self._seen.get(name) for name in names}
+        self._records = {name: self._records.get(name) for name in names}
         self._next = self._again = 0.0
 
     def forget(self) -> None:
         """Forget all results, because other endpoints count now."""
-        self._seen = dict.fromkeys(self._seen)
+        self._records = dict.fromkeys(self._records)
         self._next = self._again = 0.0
 
     def shift(self, seconds: float) -> None:
         """Move all times, after the clock was set."""
-        for seen in self._seen.values():
-            if seen is not None:
-                seen.received += seconds
+        for record in self._records.values():
+            if record is not None:
+                record.received += seconds
 
     def of(self, name: str) -> Seen | None:
         """Return the last result for a name; None before the first check."""
-        return self._seen.get(name)
+        return self._records.get(name)
 
     def _is_due(self, now: float) -> bool:
-        if not self._seen or now < self._next:
+        if not self._records or now < self._next:
             return False
         self._next = now + PERIOD
         return True
@@ -70,10 +70,10 @@ class PublisherPresence(_GraphChecks[Publishers]):
         """Check, if that is due."""
         if not self._is_due(time.monotonic()):
             return
-        for name in self._seen:
+        for name in self._records:
             observed = time.time()
             nodes = tuple(end.node for end in self._graph.publishers(name) if self._counts(end.gid))
-            self._seen[name] = Publishers(observed, nodes)
+            self._records[name] = Publishers(observed, nodes)
 
 
 class NodePresenceWatch(_GraphChecks[NodePresence]):
@@ -89,9 +89,9 @@ class NodePresenceWatch(_GraphChecks[NodePresence]):
             return
         observed, count = time.time(), self._graph.publisher_count(EVENTS)
         if count == self._count and now < self._again:
-            for seen in self._seen.values():
-                if seen is not None:
-                    self._seen[seen.node] = NodePresence(observed, seen.node, seen.there, seen.elsewhere)
+            for record in self._records.values():
+                if record is not None:
+                    self._records[record.node] = NodePresence(observed, record.node, record.there, record.elsewhere)
             return
         ends = self._graph.publishers(EVENTS)
         # The name of a node arrives a moment after its first endpoint.
@@ -100,7 +100,7 @@ class NodePresenceWatch(_GraphChecks[NodePresence]):
         present: dict[str, bool] = {}
         for end in ends:
             present[end.node] = present.get(end.node, False) or self._counts(end.gid)
-        for name in self._seen:
+        for name in self._records:
             if name not in present and (found := self._graph.endpoints_of(name)):
                 present[name] = any(self._counts(end.gid) for end in found)
-            self._seen[name] = NodePresence(observed, name, present.get(name, False), name in present)
+            self._records[name] = NodePresence(observed, name, present.get(name, False), name in present)

@@ -32,7 +32,7 @@ class EvidenceTrack(Generic[EvidenceT]):
 
     since: float = math.nan
     """When the instance took control, which identifies it."""
-    seen: EvidenceT | None = None
+    last_evaluated: EvidenceT | None = None
     """The newest message that was evaluated."""
     received: float = 0.0
     """When that message was received, by the clock at that time."""
@@ -60,10 +60,10 @@ class EvidenceTrack(Generic[EvidenceT]):
 
     def shift(self) -> None:
         """Follow a step of the clock, which moved the time of the newest message."""
-        if self.seen is None or self.seen.received == self.received:
+        if self.last_evaluated is None or self.last_evaluated.received == self.received:
             return
-        step = self.seen.received - self.received
-        self.received = self.seen.received
+        step = self.last_evaluated.received - self.received
+        self.received = self.last_evaluated.received
         self.last_finding = self.last_finding + step if self.last_finding is not None else None
         self.good = self.good + step if self.good is not None else None
         self.bad = self.bad + step if self.bad is not None else None
@@ -88,7 +88,7 @@ class EvidenceLeaf(Leaf, Generic[EvidenceT]):
     def fresh(self, track: EvidenceTrack[EvidenceT]) -> list[EvidenceT]:
         """Return the instance's evidence that has not been evaluated, oldest first: the last observation, once."""
         found = self.newest()
-        if found is None or found is track.seen or found.received < self._evaluation.since:
+        if found is None or found is track.last_evaluated or found.received < self._evaluation.since:
             return []
         return [found]
 
@@ -121,7 +121,7 @@ class EvidenceLeaf(Leaf, Generic[EvidenceT]):
             failed = track.held and track.bad is not None and content.received >= track.bad + self.hold_off
             if (finding := self.evaluate(content, failed)) is not None:
                 track.note(finding, content)
-            track.seen, track.received = content, content.received
+            track.last_evaluated, track.received = content, content.received
         return track
 
     # -- the state --------------------------------------------------------------------------------------------------

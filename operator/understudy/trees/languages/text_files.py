@@ -49,7 +49,7 @@ class _Read:
     def __init__(self, text: str, path: str, begins: TextOffset) -> None:
         self._path, self._begins = path, begins
         self._places: dict[str, _Place] = {}
-        self._seen: set[int] = set()
+        self._visited: set[int] = set()
         self._problems: list[Problem] = []
         self.tree = self._value(self._document(text), "", 0)
         if self._problems:
@@ -96,10 +96,10 @@ class _Read:
     def _value(self, node: Node, inner: str, depth: int) -> Any:
         self._places.setdefault(inner, self._of(node))
         # Repeated references could make a small text into a tree without end.
-        if id(node) in self._seen:
+        if id(node) in self._visited:
             self._refuse(node, inner, "is an alias (*) of something further up; write it out")
             return None
-        self._seen.add(id(node))
+        self._visited.add(id(node))
         if depth > DEEPEST:
             self._refuse(node, inner, f"is nested too deeply; it may be {DEEPEST} deep")
             return None

@@ -96,7 +96,7 @@ class _LogRecord:
     """When the instance took control, which identifies it."""
     active: float = -math.inf
     """Since when messages count: the start of the task, if the leaf is for one."""
-    seen: Content | None = None
+    last_evaluated: Content | None = None
     """The newest message that was evaluated."""
     received: float = 0.0
     """When that message was received, by the clock at that time."""
@@ -111,10 +111,10 @@ class _LogRecord:
 
     def shift(self) -> None:
         """Follow a step of the clock, which moved the time of the newest message."""
-        if self.seen is None or self.seen.received == self.received:
+        if self.last_evaluated is None or self.last_evaluated.received == self.received:
             return
-        step = self.seen.received - self.received
-        self.received, self.last = self.seen.received, self.last + step
+        step = self.last_evaluated.received - self.received
+        self.received, self.last = self.last_evaluated.received, self.last + step
         self.active += step
         self.times = deque((time + step for time in self.times), self.times.maxlen)
         self.first = self.first + step if self.first is not None else None
@@ -155,14 +155,14 @@ class LogLeaf(Leaf):
         for content in self._fresh(track):
             if content.received >= active:
                 self._note(track, content)
-            track.seen, track.received = content, content.received
+            track.last_evaluated, track.received = content, content.received
         return track
 
     def _fresh(self, track: _LogRecord) -> list[Content]:
         record = self._evaluation.observations.own(self.topic)
         found: list[Content] = []
         for content in reversed(record.contents if record is not None else ()):
-            if content is track.seen or content.received < self._evaluation.since:
+            if content is track.last_evaluated or content.received < self._evaluation.since:
                 break
             found.append(content)
         return found[::-1]

@@ -15,11 +15,11 @@ class ContentLeaf(EvidenceLeaf[Content]):
     def fresh(self, track: EvidenceTrack[Content]) -> list[Content]:
         """Return the instance's messages that have not been evaluated, oldest first."""
         record = self._evaluation.observations.topic(self.topic)
-        if record is None or not record.contents or record.contents[-1] is track.seen:
+        if record is None or not record.contents or record.contents[-1] is track.last_evaluated:
             return []
         found: list[Content] = []
         for content in reversed(record.contents):
-            if content is track.seen or content.received < self._evaluation.since:
+            if content is track.last_evaluated or content.received < self._evaluation.since:
                 break
             found.append(content)
             if not self.every:

@@ -44,7 +44,7 @@ class MotionLeaf(IntervalLeaf):
         self._commands, self._allowance = commands, allowance
         self._following = CommandFollowing(allowance)
         self._began = (-math.inf, -math.inf)
-        self._seen: dict[str, tuple[Content, float]] = {}
+        self._last_motions: dict[str, tuple[Content, float]] = {}
         self._unreadable = ""
 
     def _followed(self) -> CommandFollowing:
@@ -55,7 +55,7 @@ class MotionLeaf(IntervalLeaf):
         began = (evaluation.since, max(evaluation.since, found.active) if found is not None else evaluation.since)
         if began != self._began and (found is not None or not self.tasks):
             # Another instance commands the robot, or the task begins only now.
-            self._began, self._following, self._seen = began, CommandFollowing(self._allowance), {}
+            self._began, self._following, self._last_motions = began, CommandFollowing(self._allowance), {}
         self._follow_clock()
         fresh = [
             (content.received, name == self.topic, content)
@@ -65,7 +65,7 @@ class MotionLeaf(IntervalLeaf):
         for received, seen, content in sorted(fresh, key=lambda entry: entry[:2]):
             try:
                 if seen:
-                    self._following.see(received, *_seen(content.message()))
+                    self._following.see(received, *_motions(content.message()))
                 else:
                     self._following.command(received, _commanded(content.message()))
                     self._unreadable = ""
@@ -77,22 +77,24 @@ class MotionLeaf(IntervalLeaf):
         record = self._evaluation.observations.topic(name)
         if record is None or not record.contents:
             return []
-        last = self._seen.get(name, (None,))[0]
+        last = self._last_motions.get(name, (None,))[0]
         found: list[Content] = []
         for content in reversed(record.contents):
             if content is last or content.received < self._began[1]:
                 break
             found.append(content)
         if found:
-            self._seen[name] = found[0], found[0].received
+            self._last_motions[name] = found[0], found[0].received
         return found[::-1]
 
     def _follow_clock(self) -> None:
         """Follow a step of the clock, which moved the times of the known messages."""
-        steps = [content.received - received for content, received in self._seen.values()]
+        steps = [content.received - received for content, received in self._last_motions.values()]
         if any(steps):
             self._following.shift(max(steps, key=abs))
-            self._seen = {name: (content, content.received) for name, (content, _) in self._seen.items()}
+            self._last_motions = {
+                name: (content, content.received) for name, (content, _) in self._last_motions.items()
+            }
 
     # -- the state --------------------------------------------------------------------------------------------------
 
@@ -129,7 +131,7 @@ def _commanded(message: Any) -> Motion:
     return _finite(Motion(twist.linear.x, twist.linear.y, twist.angular.z))
 
 
-def _seen(message: Any) -> tuple[Motion, Motion]:
+def _motions(message: Any) -> tuple[Motion, Motion]:
     twist, covariance = message.twist.twist, message.twist.covariance
     diagonal = [float(covariance[7 * index]) for index in (0, 1, 5)]
     variances = Motion(*(value if value > 0 else UNSAID for value in diagonal))

@@ -138,15 +138,15 @@ class _Counted:
     """When the last restarts were seen: one more than are allowed."""
     total: int | None = None
     """The total number at the last observation."""
-    seen: PodState | None = None
+    last_evaluated: PodState | None = None
     received: float = 0.0
     """When that number was observed, by the clock at that time."""
 
     def shift(self) -> None:
         """Follow a step of the clock, which moved the time of the last observation."""
-        if self.seen is None or self.seen.received == self.received:
+        if self.last_evaluated is None or self.last_evaluated.received == self.received:
             return
-        step, self.received = self.seen.received - self.received, self.seen.received
+        step, self.received = self.last_evaluated.received - self.received, self.last_evaluated.received
         self.times = deque((time + step for time in self.times), self.times.maxlen)
 
 
@@ -173,12 +173,12 @@ class RestartsLeaf(IntervalLeaf):
             counted = self._counted = _Counted(evaluation.since, deque(maxlen=self._most + 1))
         counted.shift()
         pod = evaluation.observations.pod()
-        if pod is None or pod is counted.seen or pod.received < evaluation.since:
+        if pod is None or pod is counted.last_evaluated or pod.received < evaluation.since:
             return counted
         # Restarts before the instance took control, or before the first observation, do not count.
         new = pod.restarts - counted.total if counted.total is not None else 0
         counted.times.extend([pod.received] * min(max(new, 0), self._most + 1))
-        counted.total, counted.seen, counted.received = pod.restarts, pod, pod.received
+        counted.total, counted.last_evaluated, counted.received = pod.restarts, pod, pod.received
         return counted
 
     def _failing(self) -> tuple[float, float] | None:

@@ -157,8 +157,8 @@ class TopicLeaf(Leaf):
         instead."""
         assert self.gap is not None
         last = record.last if record is not None and record.last is not None else -math.inf
-        begun = found.active if found.active >= self._evaluation.since else -math.inf
-        return max(found.settled, max(last, begun) + self.gap)
+        active_since = found.active if found.active >= self._evaluation.since else -math.inf
+        return max(found.settled, max(last, active_since) + self.gap)
 
     def _judged_from(self, found: TaskTiming, window: Window) -> float:
         """Return when a rate is judged for the first time: one window after the messages that it counts could have

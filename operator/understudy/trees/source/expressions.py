@@ -407,18 +407,18 @@ class _Compiler:
         name = node.func.id if isinstance(node.func, ast.Name) else self._source(node.func)
         if not isinstance(node.func, ast.Name) or name not in _FUNCTIONS:
             raise ExpressionError(f"there is no function {name!r:.60}{did_you_mean(name[:60], _FUNCTIONS)}")
-        given, text = node.args, self._source(node)
-        if node.keywords or not given or any(isinstance(value, ast.Starred) for value in given):
+        arguments, text = node.args, self._source(node)
+        if node.keywords or not arguments or any(isinstance(value, ast.Starred) for value in arguments):
             raise ExpressionError(f"{text} is not allowed; {name} is given values, such as {_CALLS[name]}")
-        if len(given) > 1 and name not in ("min", "max"):
-            raise ExpressionError(f"{text} gives {name} {len(given)} values; it takes one, such as {_CALLS[name]}")
+        if len(arguments) > 1 and name not in ("min", "max"):
+            raise ExpressionError(f"{text} gives {name} {len(arguments)} values; it takes one, such as {_CALLS[name]}")
         if name in ("any", "all"):
-            return _TRUTH, self._loop(given[0], name, depth)
-        if name == "len" or (name in ("min", "max") and len(given) == 1):
-            found = _NUMBER, self._of_array(name, given[0], depth)
+            return _TRUTH, self._loop(arguments[0], name, depth)
+        if name == "len" or (name in ("min", "max") and len(arguments) == 1):
+            found = _NUMBER, self._of_array(name, arguments[0], depth)
             self._show(node, found)
             return found
-        values = [self.number(value, depth + 1) for value in given]
+        values = [self.number(value, depth + 1) for value in arguments]
         if name == "isfinite":
             return _TRUTH, lambda message, element: is_finite(values[0](message, element))
         if name == "abs":

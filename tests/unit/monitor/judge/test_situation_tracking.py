@@ -49,7 +49,7 @@ class TestContextDetection:
     @staticmethod
     def seen(found: ContextDetection, observed: RecordedObservations, *goals: str) -> dict[str, SituationState]:
         now = time.time()
-        return found.seen(observed, goals, now=now, since=now - 100)
+        return found.states(observed, goals, now=now, since=now - 100)
 
     @pytest.fixture
     def found(self) -> ContextDetection:

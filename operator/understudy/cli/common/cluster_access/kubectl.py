@@ -84,23 +84,23 @@ def _completer(names: Callable[[Kubectl], list[str]]) -> shell_completion.Comple
 class Kubectl:
     """Runs kubectl for one cluster and one namespace."""
 
-    def __init__(self, given: argparse.Namespace) -> None:
-        """``given`` holds the options of :func:`add_options`. Raises CommandError if kubectl is not installed."""
+    def __init__(self, options: argparse.Namespace) -> None:
+        """``options`` holds the options of :func:`add_options`. Raises CommandError if kubectl is not installed."""
         if shutil.which("kubectl") is None:
             raise CommandError("kubectl is not on the PATH; install it, because all requests to the cluster use it")
-        where = {"namespace": given.namespace, "context": given.context, "kubeconfig": given.kubeconfig}
+        where = {"namespace": options.namespace, "context": options.context, "kubeconfig": options.kubeconfig}
         self._options = [f"--{key}={value}" for key, value in where.items() if value]
-        self._given: str | None = given.namespace
+        self._namespace_option: str | None = options.namespace
         self._stdin: int | None = subprocess.DEVNULL
         """Closed, because nobody would see a question that kubectl itself asks, such as for a user name."""
 
     @property
     def namespace(self) -> str:
         """The given namespace, or that of the context. Raises CommandError with kubectl's message."""
-        if not self._given:
+        if not self._namespace_option:
             contexts = json.loads(self._run("config", "view", "--minify", "-o", "json")).get("contexts") or [{}]
-            self._given = (contexts[0].get("context") or {}).get("namespace") or "default"
-        return self._given
+            self._namespace_option = (contexts[0].get("context") or {}).get("namespace") or "default"
+        return self._namespace_option
 
     def contexts(self) -> list[str]:
         """Return the names of the kubeconfig's contexts. Raises CommandError with kubectl's message."""

@@ -56,8 +56,8 @@ class Api:
         connection = _Connection(self._path)
         asked = time.time()
         try:
-            given = json.dumps(body) if body is not None else None
-            connection.request(method, path, given, {"Content-Type": kind} if given else {})
+            payload = json.dumps(body) if body is not None else None
+            connection.request(method, path, payload, {"Content-Type": kind} if payload else {})
             response = connection.getresponse()
             text = response.read()
         except (OSError, http.client.HTTPException) as error:

@@ -22,13 +22,13 @@ class Session:
     def __init__(self, pod: str, running: subprocess.Popen[bytes]) -> None:
         self._pod, self._running = pod, running
 
-    def ask(self, what: str, *, takes: float = 0.0, **given: Any) -> Any:
+    def ask(self, what: str, *, takes: float = 0.0, **arguments: Any) -> Any:
         """Send a request and return the answer; ``takes`` is the expected time in seconds. Raises CommandError."""
         source, sink = self._running.stdout, self._running.stdin
         assert source is not None, "it is a pipe"
         assert sink is not None, "it is a pipe"
         with contextlib.suppress(BrokenPipeError):
-            sink.write(json.dumps([what, given]).encode() + b"\n")
+            sink.write(json.dumps([what, arguments]).encode() + b"\n")
             sink.flush()
         if not select.select([source], [], [], takes + PATIENCE)[0]:
             raise CommandError(f"pod {self._pod} does not answer")

@@ -41,8 +41,8 @@ class StandbySupervision:
         if not paused:
             self._bring(instances, policy, settings)
         active_uid = self._cluster.gate.state.active_uid
-        given = receivers(instances, settings, self._agents, active_uid=active_uid) if not paused else []
-        self._state_manager.housekeeping(self._cluster.pods.find(active_uid), given)
+        targets = receivers(instances, settings, self._agents, active_uid=active_uid) if not paused else []
+        self._state_manager.housekeeping(self._cluster.pods.find(active_uid), targets)
 
     def _bring(self, instances: Sequence[Instance], policy: FailurePolicySpec, settings: WorkloadSettings) -> None:
         if (spec := self._cluster.view.spec) is None:

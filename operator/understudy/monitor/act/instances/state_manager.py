@@ -202,11 +202,11 @@ class StateManager:
                 )  # the report about an earlier recovery does not apply to this one
             return
         missing = [entry for entry in recovery.state if not entry.restored]
-        given = ", ".join(f"{e.name} ({_age_text(e)})" for e in recovery.state if e.restored)
+        restored = ", ".join(f"{e.name} ({_age_text(e)})" for e in recovery.state if e.restored)
         notes = "; ".join(f"{e.name}: {e.message}" for e in recovery.state if e.restored and e.message)
         uncarried = [e for e in recovery.state if e.restored and e.message and e.carried_metres is None]
         if not missing:
-            text = f"{recovery.to_pod} was given {given}." + (f" {notes}." if notes else "")
+            text = f"{recovery.to_pod} was given {restored}." + (f" {notes}." if notes else "")
             if not uncarried:
                 self._notices.condition("StateRestored", "True", "Restored", text)
                 return
@@ -215,7 +215,7 @@ class StateManager:
             return
         reasons = "; ".join(f"{entry.name}: {entry.message}{self._place(entry.name)}" for entry in missing)
         text = f"{recovery.to_pod or 'No pod'} did not receive all of the kept state: {reasons}."
-        message = text + (f" It received {given}." if given else "") + (f" {notes}." if notes else "")
+        message = text + (f" It received {restored}." if restored else "") + (f" {notes}." if notes else "")
         way_out = " It took over nevertheless. To prevent that, use a restore_state step in the strategy's recovery."
         self._notices.condition("StateRestored", "False", "NotRestored", message + way_out)
         self._notices.event("Warning", "StateNotRestored", text + way_out)
@@ -382,8 +382,8 @@ class StateManager:
 
     async def _restore(self, instance: Instance, fresh: KeptState, upkeep: _Upkeep, within: float) -> None:
         report = await self._agents.restore(instance, fresh, within)
-        given = {entry.name for entry in report.restored}
-        upkeep.restored |= {name: content for name, content in fresh.contents().items() if name in given}
+        restored_names = {entry.name for entry in report.restored}
+        upkeep.restored |= {name: content for name, content in fresh.contents().items() if name in restored_names}
         if report.problem != upkeep.problem:
             upkeep.problem = report.problem
             if report.problem:

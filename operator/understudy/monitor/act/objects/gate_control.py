@@ -91,19 +91,19 @@ class GateControl:
         another writer changed it: during this commit, since the last commit of this recovery, or for a pod that this recovery
         is not about.
         """
-        begun = self.record
-        if begun is None:
+        previous = self.record
+        if previous is None:
             raise Superseded(f"{self._kind.object_kind} {names.gate(self._view.workload)} does not exist")
-        self._still_ours(begun, progress)
+        self._still_ours(previous, progress)
         if (instance := target) is not None:
             await claims.answered(lambda: self._fleet.label(instance))
-        record, retry, away, workload = begun, RETRY_FIRST, -math.inf, self._view.workload
+        record, retry, away, workload = previous, RETRY_FIRST, -math.inf, self._view.workload
         name, uid = (target.name, target.uid) if target else ("", "")
         self._crash_points.step("before commit")
-        recovery = progress.model_copy(update={"epoch": begun.epoch + 1}).model_dump_json() if progress else ""
+        recovery = progress.model_copy(update={"epoch": previous.epoch + 1}).model_dump_json() if progress else ""
         waits_for = progress.waiting.pool if progress is not None and progress.waiting is not None else ""
         if progress is not None:
-            self._own = (progress.id, begun.epoch, recovery)
+            self._own = (progress.id, previous.epoch, recovery)
         asked = time.monotonic()
         while True:
             try:
@@ -124,17 +124,17 @@ class GateControl:
                 away = time.monotonic()
                 await asyncio.sleep(retry)
                 retry = min(2 * retry, RETRY_MOST)
-            record = await self._reread(begun, uid, recovery) or record
-            if record.epoch > begun.epoch:
+            record = await self._reread(previous, uid, recovery) or record
+            if record.epoch > previous.epoch:
                 self._own = (self._own[0], record.epoch, recovery)
                 return self.state
         self._notices.add(GateCommitted(time.monotonic() - asked))
         self._view.gates.put(gate)
-        self._own = (self._own[0], begun.epoch + 1, recovery)
+        self._own = (self._own[0], previous.epoch + 1, recovery)
         self._crash_points.step("after commit")
         return self.state
 
-    def _still_ours(self, begun: GateRecord, progress: Progress | None) -> None:
+    def _still_ours(self, previous: GateRecord, progress: Progress | None) -> None:
         """Raise Superseded if a recovery under way would undo the commit of another writer: a second monitor or ``understudy fence``.
 
         A commit for a recovery that is not under way may overwrite any other.
@@ -146,17 +146,19 @@ class GateControl:
             # A commit without an answer may have been carried out. The gate also has the record that was sent if another writer has closed
             # it since and changed nothing else, so the epochs are compared too.
             carried_out = (
-                begun.recovery == sent and (committed := beside(sent)) is not None and begun.epoch == committed.epoch
+                previous.recovery == sent
+                and (committed := beside(sent)) is not None
+                and previous.epoch == committed.epoch
             )
-            if begun.epoch != epoch and not carried_out:
+            if previous.epoch != epoch and not carried_out:
                 raise Superseded(
-                    f"another process changed the gate to epoch {begun.epoch}; this recovery knew epoch {epoch}"
+                    f"another process changed the gate to epoch {previous.epoch}; this recovery knew epoch {epoch}"
                 )
             return
         about = [*progress.failed, progress.target, progress.former, progress.taken_over]
-        if begun.active_uid and begun.active_uid not in {pod.uid for pod in about if pod is not None}:
+        if previous.active_uid and previous.active_uid not in {pod.uid for pod in about if pod is not None}:
             raise Superseded(
-                f"another process changed the gate, which now admits {begun.active}; this recovery is for another instance"
+                f"another process changed the gate, which now admits {previous.active}; this recovery is for another instance"
             )
 
     async def admit(self, standby: Instance | None) -> bool:
@@ -207,7 +209,7 @@ class GateControl:
         _logger.info("marked recovery %s as abandoned at the gate", found.id)
         self._view.gates.put(gate)
 
-    async def _reread(self, begun: GateRecord, uid: str, recovery: str) -> GateRecord | None:
+    async def _reread(self, previous: GateRecord, uid: str, recovery: str) -> GateRecord | None:
         """Read the gate after a refused or unanswered commit, which may have been carried out. Returns None if the gate
         cannot be read; raises Superseded if another writer has changed it."""
         try:
@@ -215,11 +217,11 @@ class GateControl:
         except FAILURES:
             return None
         record = GateRecord.of(gate)
-        ours = record.epoch == begun.epoch + 1 and record.active_uid == uid and record.recovery == recovery
-        if record.epoch != begun.epoch and not ours:
+        ours = record.epoch == previous.epoch + 1 and record.active_uid == uid and record.recovery == recovery
+        if record.epoch != previous.epoch and not ours:
             self._view.gates.put(gate)
             raise Superseded(
-                f"another process changed the gate to epoch {record.epoch}; this monitor knew epoch {begun.epoch}"
+                f"another process changed the gate to epoch {record.epoch}; this monitor knew epoch {previous.epoch}"
             )
         self._view.gates.put(gate)
         return record

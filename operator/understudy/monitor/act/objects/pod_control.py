@@ -130,7 +130,7 @@ class PodControl:
         if pod is None or pod["metadata"]["uid"] != instance.uid:
             raise ClaimLost(instance.name)
         self._crash_points.step("before claim")
-        begun = time.monotonic()
+        started_at = time.monotonic()
         try:
             claimed = await claims.claim(
                 self._client, pod, workload=self._view.workload, workload_uid=self._settings.uid, claim=claim
@@ -138,10 +138,10 @@ class PodControl:
         except ApiError as error:
             if error.status in (403, 404, 409, 422):
                 _logger.info("claim of %s lost: %s", instance.name, error.message)
-                self._notices.add(PodClaimed("Lost", time.monotonic() - begun))
+                self._notices.add(PodClaimed("Lost", time.monotonic() - started_at))
                 raise ClaimLost(instance.name) from error
             raise
-        self._notices.add(PodClaimed("Won", time.monotonic() - begun))
+        self._notices.add(PodClaimed("Won", time.monotonic() - started_at))
         self._view.pods.put(claimed)
         self._crash_points.step("after claim")
         return instance_of(claimed)

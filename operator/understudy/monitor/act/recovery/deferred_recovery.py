@@ -39,10 +39,10 @@ class DeferredRecovery:
         """
         now = time.time()
         nothing_failed = progress.planned or bool(progress.follows)
-        begun = "decided" in progress.moments or progress.attempts or progress.taken_over is not None
+        is_started = "decided" in progress.moments or progress.attempts or progress.taken_over is not None
         held = "held" in progress.moments
         waits = self._must_wait(now) if held else self._limits.hold(Trigger.DECIDED_RECOVERY, now)
-        if waits and not begun and not nothing_failed:
+        if waits and not is_started and not nothing_failed:
             with self._current.during(progress, held=True):
                 epoch = await self._fence(progress)
                 while self._must_wait(time.time()):

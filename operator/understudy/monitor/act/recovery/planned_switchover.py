@@ -254,8 +254,8 @@ class PlannedSwitchovers:
 
     def _begin(self, wanted: Wanted) -> None:
         choices, context = self._options.choices(), self._options.context()
-        begun = time.time()
-        progress = Progress.begin(wanted.reason, last_healthy=begun, detected=begun, planned=True)
+        started_at = time.time()
+        progress = Progress.begin(wanted.reason, last_healthy=started_at, detected=started_at, planned=True)
         progress.switchover, progress.request = wanted.kind, wanted.request
         if wanted.kind == "Failback" and not any(isinstance(choice.strategy, Restart) for choice in choices):
             choices = [*choices, self._home(choices)]

@@ -171,13 +171,13 @@ class ClusterView:
             if item is not None:
                 spec = self._spec[1]
                 try:
-                    given = RobotWorkloadSpec.model_validate(item["spec"])
-                    trees = ((f"dependsOn[{i}].procedure", d.procedure) for i, d in enumerate(given.depends_on))
-                    if spec is None or (problem := unloadable(("bringUp", given.bring_up), *trees)) is None:
-                        spec = given
+                    workload_spec = RobotWorkloadSpec.model_validate(item["spec"])
+                    trees = ((f"dependsOn[{i}].procedure", d.procedure) for i, d in enumerate(workload_spec.depends_on))
+                    if spec is None or (problem := unloadable(("bringUp", workload_spec.bring_up), *trees)) is None:
+                        spec = workload_spec
                     else:
                         # A pause applies even if the rest of the spec is invalid.
-                        spec = spec.model_copy(update={"pause": given.pause})
+                        spec = spec.model_copy(update={"pause": workload_spec.pause})
                         _logger.error(
                             "RobotWorkload %s cannot be followed, keeping its last spec: %s", self.workload, problem
                         )
@@ -205,19 +205,19 @@ class ClusterView:
         force for this workload. If there is no earlier policy, a policy with a recovery that does not load is used nevertheless: that
         strategy fails, but the workload is monitored.
         """
-        given, settings = self._written_policy(), self.settings
-        if given is None or not given.varies:
-            self._followed = (given, settings, given)
-        elif self._followed[0] is not given or self._followed[1] is not settings:
+        written_policy, settings = self._written_policy(), self.settings
+        if written_policy is None or not written_policy.varies:
+            self._followed = (written_policy, settings, written_policy)
+        elif self._followed[0] is not written_policy or self._followed[1] is not settings:
             before = self._followed[2]
-            found = following(given, settings.strategies if settings is not None else None)
+            found = following(written_policy, settings.strategies if settings is not None else None)
             if found is None:
                 _logger.error(
                     "the operator has not chosen strategies for this policy yet, so the earlier ones stay in use: see the condition "
                     "StrategiesChosen"
                 )
             # The object stays the same as long as its content is equal, so that readers can compare by identity.
-            self._followed = (given, settings, before if found is None or found == before else found)
+            self._followed = (written_policy, settings, before if found is None or found == before else found)
         return self._followed[2]
 
     def _written_policy(self) -> FailurePolicySpec | None:
@@ -232,14 +232,14 @@ class ClusterView:
         ):
             self._policy_version = version
             try:
-                given = in_force(FailurePolicySpec.model_validate(item["spec"]), item.get("status"))
-                if given is None:
+                policy_spec = in_force(FailurePolicySpec.model_validate(item["spec"]), item.get("status"))
+                if policy_spec is None:
                     _logger.error(
                         "FailurePolicy %s has no health tree yet, keeping the last one: see its Accepted condition",
                         item["metadata"]["name"],
                     )
-                elif self._policy is None or (problem := unloadable(*given.recoveries)) is None:
-                    self._policy = given
+                elif self._policy is None or (problem := unloadable(*policy_spec.recoveries)) is None:
+                    self._policy = policy_spec
                 else:
                     _logger.error(
                         "FailurePolicy %s cannot be followed, keeping the last one: %s",

@@ -57,7 +57,7 @@ class _Watched:
         self.statuses = reflector(WORKLOADS, name)
         self.gates = [reflector(resource, names.gate(name)) for resource in registry.GATE_RESOURCES]
         self._tasks: list[asyncio.Task[None]] = []
-        self._seen: tuple[tuple[int, int], UpstreamState] = ((-1, -1), UpstreamState())
+        self._cached_state: tuple[tuple[int, int], UpstreamState] = ((-1, -1), UpstreamState())
 
     def begin(self) -> None:
         """Start the watches."""
@@ -74,12 +74,12 @@ class _Watched:
         return self.statuses.synced.is_set()
 
     @property
-    def seen(self) -> UpstreamState:
+    def state(self) -> UpstreamState:
         """The state of the workload according to its status and gate."""
         revision = (self.statuses.revision, sum(one.revision for one in self.gates))
-        if self._seen[0] != revision:
-            self._seen = (revision, self._read())
-        return self._seen[1]
+        if self._cached_state[0] != revision:
+            self._cached_state = (revision, self._read())
+        return self._cached_state[1]
 
     def _read(self) -> UpstreamState:
         item = self.statuses.items.get(self._name)
@@ -101,7 +101,7 @@ class Dependencies:
 
     def __init__(self, view: ClusterView, notices: Notices, wakeups: Wakeups) -> None:
         self._view, self._notices, self._wakeups = view, notices, wakeups
-        self._given: WorkloadSettings | None = None
+        self._settings: WorkloadSettings | None = None
         self._watched: dict[str, _Watched] = {}
         self._outages: dict[str, Outage] = {}
         self._followed: dict[str, str] | None = None
@@ -116,9 +116,9 @@ class Dependencies:
 
     def follow(self, settings: WorkloadSettings | None) -> None:
         """Watch the workloads that the operator's settings name, and no others."""
-        if settings is None or settings is self._given:
+        if settings is None or settings is self._settings:
             return
-        self._given, followed = settings, self._known()
+        self._settings, followed = settings, self._known()
         wanted = [one.name for one in settings.upstream]
         for name in self._watched.keys() - set(wanted):
             self._watched.pop(name).end()
@@ -137,7 +137,7 @@ class Dependencies:
         if not self._watched:
             return
         for name, watched in self._watched.items():
-            if watched.synced and (found := outage(self._outages.get(name), watched.seen, now)) is not None:
+            if watched.synced and (found := outage(self._outages.get(name), watched.state, now)) is not None:
                 self._outages[name] = found
         self._skip_earlier_recoveries()
 
@@ -151,7 +151,7 @@ class Dependencies:
             del followed[name]
         for name in direct - before.keys():
             if self._watched[name].synced:
-                last = self._watched[name].seen.last
+                last = self._watched[name].state.last
                 followed[name] = last.id if last is not None else ""
         if followed != before:
             self._report()
@@ -214,7 +214,7 @@ class Dependencies:
                 f"is healthy again; if the failure continues, the monitor recovers this workload at {until}",
             )
         else:
-            health = self._watched[found.name].seen.health
+            health = self._watched[found.name].state.health
             why, then = (
                 "Held",
                 f"is {health} and is recovered first; the monitor recovers this workload at {until} at the latest",
@@ -230,10 +230,10 @@ class Dependencies:
 
     def due(self, active: Instance, now: float) -> DueReaction | None:
         """Return the recoveries of dependencies that the active instance must react to now; None if there are none."""
-        if not self._watched or self._given is None:
+        if not self._watched or self._settings is None:
             return None
-        seen = {name: watched.seen for name, watched in self._watched.items()}
-        found = due(self._direct, self._given.upstream, seen, self._outages, followed=self._known(), now=now)
+        states = {name: watched.state for name, watched in self._watched.items()}
+        found = due(self._direct, self._settings.upstream, states, self._outages, followed=self._known(), now=now)
         if found is None:
             return None
         if (unix(active.created) or 0.0) >= found.since:

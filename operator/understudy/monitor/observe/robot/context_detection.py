@@ -40,7 +40,7 @@ class ContextDetection:
     """The situations of the policy in force. If it has none, nothing is loaded, watched or judged."""
 
     def __init__(self) -> None:
-        self._given: list[Situation] = []
+        self._situations: list[Situation] = []
         self._signs: dict[str, _Criterion] = {}
         self._blind: Collection[str] = ()
         self.problems: list[str] = []
@@ -48,9 +48,9 @@ class ContextDetection:
 
     def follow(self, policy: FailurePolicySpec) -> bool:
         """Use the situations of this policy. Returns whether they changed. If a tree does not load, the last one stays in force."""
-        if self._given == policy.situations:
+        if self._situations == policy.situations:
             return False
-        self._given, self.problems = policy.situations, []
+        self._situations, self.problems = policy.situations, []
         self._signs = {one.name: self._sign(one, index) for index, one in enumerate(policy.situations)}
         return True
 
@@ -87,13 +87,15 @@ class ContextDetection:
         """Set the topics that cannot be watched. A tree with one of them has an unknown result."""
         self._blind = topics
 
-    def seen(
+    def states(
         self, observations: Observations, goals: Collection[str], *, now: float, since: float
     ) -> dict[str, SituationState]:
         """Return the state of each situation, by name. ``goals`` are the actions that have goals according to the action proxy."""
-        return {name: self._seen(sign, observations, goals, now=now, since=since) for name, sign in self._signs.items()}
+        return {
+            name: self._state(sign, observations, goals, now=now, since=since) for name, sign in self._signs.items()
+        }
 
-    def _seen(
+    def _state(
         self, sign: _Criterion, observations: Observations, goals: Collection[str], *, now: float, since: float
     ) -> SituationState:
         if sign.task is not None:

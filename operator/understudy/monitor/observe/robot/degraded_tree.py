@@ -35,7 +35,7 @@ class DegradedTrees:
     nothing is loaded, watched or judged."""
 
     def __init__(self) -> None:
-        self._given: tuple[Degraded | None, str, tuple[str, ...]] = (None, "", ())
+        self._specification: tuple[Degraded | None, str, tuple[str, ...]] = (None, "", ())
         self._well: HealthTree | None = None
         self._idle: HealthTree | None = None
         self._tasks: tuple[TaskActive, ...] = ()
@@ -49,10 +49,10 @@ class DegradedTrees:
         degraded = policy.degraded
         reschedule = degraded.reschedule if degraded is not None else None
         actions = tuple(task.action for task in spec.tasks) if reschedule is not None and spec is not None else ()
-        given = (degraded, policy.monitoring.startup_grace, actions)
-        if self._given == given:
+        source = (degraded, policy.monitoring.startup_grace, actions)
+        if self._specification == source:
             return False
-        self._given, self.problems = given, []
+        self._specification, self.problems = source, []
         self._tasks = tuple(TaskActive(action) for action in actions)
         grace = seconds(policy.monitoring.startup_grace)
         well = degraded.monitoring if degraded is not None else None

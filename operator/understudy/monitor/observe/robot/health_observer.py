@@ -188,7 +188,7 @@ class HealthObserver:
         for instance in instances:
             if instance.ip:
                 self._addresses[instance.name] = (instance.ip, now)
-        for name in [n for n, (_, seen) in self._addresses.items() if now - seen > REMEMBERED]:
+        for name in [n for n, (_, last_time) in self._addresses.items() if now - last_time > REMEMBERED]:
             del self._addresses[name]
         self.addresses = {name: ip for name, (ip, _) in self._addresses.items()}
         self._watching.attribute(self.addresses, active)
@@ -230,7 +230,7 @@ class HealthObserver:
 
     def situations(self, goals: Collection[str], *, now: float, since: float) -> dict[str, SituationState]:
         """Return the state of each situation of the policy, by name. ``goals`` are the actions that have goals. Times are Unix seconds."""
-        return self._context_detection.seen(self._watching, goals, now=now, since=since)
+        return self._context_detection.states(self._watching, goals, now=now, since=since)
 
     def deadline(self, *, now: float, since: float) -> float | None:
         """Return when the verdict could get worse if no further message arrives; None if it cannot."""

@@ -61,20 +61,22 @@ class Document:
             self._note(element, f"unknown element{did_you_mean(element.tag, ('BehaviorTree', 'TreeNodesModel'))}")
 
     def _main(self, root: Element) -> str | None:
-        given, trees = root.attributes.get("main_tree_to_execute"), list(self.trees)
+        main_tree, trees = root.attributes.get("main_tree_to_execute"), list(self.trees)
         if not trees:
             if not self.problems:
                 self._note(root, 'has no tree in it; give it one <BehaviorTree ID="...">')
-        elif given is None and len(trees) == 1:
+        elif main_tree is None and len(trees) == 1:
             return trees[0]
-        elif given is None:
+        elif main_tree is None:
             self._note(root, f"missing; give one of {', '.join(trees):.200}", "main_tree_to_execute")
-        elif given not in self.trees:
+        elif main_tree not in self.trees:
             self._note(
-                root, f"there is no tree {found_text(given)}{did_you_mean(given, trees):.200}", "main_tree_to_execute"
+                root,
+                f"there is no tree {found_text(main_tree)}{did_you_mean(main_tree, trees):.200}",
+                "main_tree_to_execute",
             )
         else:
-            return given
+            return main_tree
         return None
 
     def _note(self, element: Element, message: str, attribute: str = "") -> None:

@@ -63,12 +63,12 @@ def _found(symbol: Any, tokens: Sequence[Any]) -> tuple[str, int, int]:
     it."""
     if symbol.text.strip() and symbol.text != "<EOF>":
         return repr(symbol.text if len(symbol.text) <= 60 else f"{symbol.text[:57]}..."), symbol.line, symbol.column + 1
-    seen = [token for token in tokens[: symbol.tokenIndex] if token.text.strip()]
+    read_tokens = [token for token in tokens[: symbol.tokenIndex] if token.text.strip()]
     indented = symbol.text.strip("\n\r\f") and not symbol.text.strip()
-    if indented or not seen:
+    if indented or not read_tokens:
         what = "an indented line" if indented else "the end of the text"
         return what, symbol.line, symbol.column + 1
-    return "the end of the line", seen[-1].line, seen[-1].column + len(seen[-1].text) + 1
+    return "the end of the line", read_tokens[-1].line, read_tokens[-1].column + len(read_tokens[-1].text) + 1
 
 
 def _expected(message: str, found: str) -> str:

@@ -137,8 +137,8 @@ class _Loader(Reader):
 
     def _watch_task(self, task: TaskActive) -> None:
         known, wanted = self.topics.get(task.topic), WatchedTopic(task.topic, STATUS_TYPE, 0.0, None, task=True)
-        seen = replace(wanted, publishers=known.publishers, node=known.node) if known is not None else wanted
-        self.topics[task.topic] = seen
+        stream = replace(wanted, publishers=known.publishers, node=known.node) if known is not None else wanted
+        self.topics[task.topic] = stream
 
     def _unknown_node_key(self, key: str, path: str) -> None:
         if key in WHILE_KEYS:

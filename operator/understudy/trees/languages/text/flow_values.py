@@ -95,26 +95,26 @@ def _yaml(text: str) -> Any:
     return _value(node, set()) if node is not None else None
 
 
-def _value(node: Node, seen: set[int]) -> Any:
+def _value(node: Node, visited: set[int]) -> Any:
     # Repeated references could make a small text into a value without end.
-    if id(node) in seen:
+    if id(node) in visited:
         raise ValueError("has an alias (*) in it; write out what it stands for")
-    seen.add(id(node))
+    visited.add(id(node))
     known = f"{TAG}map" if isinstance(node, MappingNode) else f"{TAG}seq"
     if node.tag not in (SCALARS if isinstance(node, ScalarNode) else (known,)):
         raise ValueError(f"found the tag {node.tag.replace(TAG, '!!'):.60}; remove it")
     if isinstance(node, MappingNode):
-        return _once(list(_items(node, seen)))
+        return _once(list(_items(node, visited)))
     if isinstance(node, SequenceNode):
-        return [_value(item, seen) for item in node.value]
+        return [_value(item, visited) for item in node.value]
     assert isinstance(node, ScalarNode), "there is no other kind of node"
     # A number of JSON, which YAML 1.1 reads as a number only with a decimal point.
     return float(node.value) if node.style is None and _POWER.fullmatch(node.value) else plain(node)
 
 
-def _items(node: MappingNode, seen: set[int]) -> Iterator[tuple[str, Any]]:
+def _items(node: MappingNode, visited: set[int]) -> Iterator[tuple[str, Any]]:
     for key, value in node.value:
         if not isinstance(key, ScalarNode):
             raise ValueError("has a key that is not a text; write a text before the ':'")
         # Some fields of messages are called y and n, which YAML 1.1 reads as booleans.
-        yield key.value, _value(value, seen)
+        yield key.value, _value(value, visited)
