@@ -46,7 +46,7 @@ def localize(deaf: str = "0") -> None:
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
     class Localizer(LifecycleNode):
-        offset = 0
+        poses_received = 0
 
         def on_configure(self, state):
             self.pose_publisher = rclpy.node.Node.create_publisher(
