@@ -1,16 +1,16 @@
-"""What the black box costs while nothing fails: the same monitors with and without it, over the same messages.
+"""Measures what the black box costs while nothing fails: the same monitors with and without it, over the same messages.
 
     scripts/bench blackbox [--seconds 15] [--rounds 3]
 
-One process publishes what a mobile manipulator does, at the rates of the examples and with the jitter of nodes: joint states
-at 100 Hz, velocities at 20 Hz, a laser scan at 10 Hz, and compressed images at 5 Hz. Four monitors judge the gaps of these
-topics as `scripts/bench monitor` has it, two of them without the images. First one of each two has the black box as
-`blackBox: {}` asks for, then the other: which of several processes is woken first takes more than the black box does, so that
-only the same process can be compared with itself. They are measured once the window is full, so that for each message that is
-kept one is forgotten.
+One process publishes the topics of a mobile manipulator, at the rates of the examples and with the jitter of nodes:
+joint states at 100 Hz, velocities at 20 Hz, a laser scan at 10 Hz, and compressed images at 5 Hz. Four monitors
+judge the gaps of these topics as in `scripts/bench monitor`, two of them without the images. In each pair, first one
+monitor has the black box (`blackBox: {}`), then the other. Each process is compared only with itself, because the
+order in which the kernel wakes several processes costs more than the black box. Measurement starts when the window
+is full: from then on, for each message that is kept, one is forgotten.
 
-Cost is CPU time over all threads by the kernel's account, and resident memory. A process doesn't give all memory back when
-the black box is turned off, so that is compared between the two, before the change.
+Cost is CPU time over all threads by the kernel's account, and resident memory. A process does not return all memory
+when the black box is turned off, so memory is compared between the two monitors of a pair, before the change.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ BOUNDS = {"CPU": 5.0, "memory": BlackBox().memory_bytes / 1e6}
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=15.0, help="length of a round")
-    parser.add_argument("--rounds", type=int, default=3, help="before the change, and after it")
+    parser.add_argument("--seconds", type=float, default=15.0, help="length of a round in seconds")
+    parser.add_argument("--rounds", type=int, default=3, help="number of rounds before the change, and after it")
     parser.add_argument("--role", choices=["publishers", *WATCHED], help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.role:

@@ -1,5 +1,6 @@
-"""The cost of several ways of watching in the same run: CPU time over all threads by the kernel's account, and resident
-memory."""
+"""Compares the cost of several monitors in the same run: CPU time over all threads by the kernel's account, and
+resident memory.
+"""
 
 from __future__ import annotations
 

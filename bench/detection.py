@@ -1,15 +1,17 @@
-"""How late the monitor notices failures on a machine whose cores are all busy, with a health tree of 20 leaves.
+"""Measures how late the monitor notices failures on a machine whose cores are all busy, with a health tree of 20
+leaves.
 
     scripts/bench detection [--failures 120] [--seed 1]
 
-A robot at work (bench/leaves.py) is judged as the monitor does. Failures of all kinds come in random order: a process
-that is frozen (SIGSTOP), a rate that is too low, a value out of its bounds, an old stamp, an error in the diagnostics or
-in the log, a node that is deactivated. Beside them a process for each core computes without a pause, at the priority of
-all others.
+A robot at work (bench/leaves.py) is judged as in the monitor. Failures of all kinds come in random order: a process
+is frozen (SIGSTOP), a rate is too low, a value is out of its bounds, a stamp is old, the diagnostics or the log
+report an error, a node is deactivated. Meanwhile one process per core computes without a pause, at the same priority
+as all others.
 
-Lateness is the time of the verdict less the moment at which the failure was one by what is configured: of a gap and a
-rate, when it had passed by the times of receipt; of what a message says, when that was received, and ``for`` had
-passed. Publishers and nodes that end are distinguished: the ROS graph is looked at ten times a second.
+Lateness is the time from the moment at which the configuration makes it a failure until the verdict. For a gap or a
+rate, that moment follows from the times of receipt. For the content of a message, it is the receipt of the message
+plus ``for``. Publishers and nodes that end are reported separately, because the monitor looks at the ROS graph ten
+times a second.
 """
 
 from __future__ import annotations

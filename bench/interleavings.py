@@ -1,11 +1,13 @@
-"""Whether claims, gates and pools hold, whatever order requests, answers, watches, failures and deaths come in.
+"""Checks that claims, gates and pools keep their guarantees for any order of requests, answers, watches, failures and
+deaths.
 
     scripts/bench interleavings [RUNS] [--first SEED] [--processes N]
     scripts/bench interleavings --seed SEED
 
-Each run is the real code of monitors and operator over a modelled API server, network and cluster, in virtual time
-(tests/unit/interleavings); all of it follows from its seed. To each three runs comes one with a reflex, whose robots' readers are
-modelled too: of seeds from 1,000,000 on. With --seed that one run is made, and everything that happened is printed.
+Each run executes the real code of monitors and operator over a modelled API server, network and cluster, in virtual
+time (tests/unit/interleavings). The seed determines everything in a run. For every three runs there is one more with
+a reflex, in which the robots' readers are modelled too; its seeds start at 1,000,000. With --seed only that run is
+made, and everything that happened is printed.
 """
 
 from __future__ import annotations
@@ -104,10 +106,10 @@ def told(chunks: Sequence[Chunk]) -> Report:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("runs", type=int, nargs="?", default=10_000, help="without a reflex")
+    parser.add_argument("runs", type=int, nargs="?", default=10_000, help="number of runs without a reflex")
     parser.add_argument("--first", type=int, default=0, metavar="SEED", help="the seed of the first run")
     parser.add_argument("--processes", type=int, default=os.cpu_count(), metavar="N")
-    parser.add_argument("--seed", type=int, help="make this run alone, and tell all that happens")
+    parser.add_argument("--seed", type=int, help="make only this run, and print everything that happens")
     options = parser.parse_args()
     if options.seed is not None:
         outcome = run(options.seed, tracing=True)

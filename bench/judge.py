@@ -1,6 +1,6 @@
 """Watches a robot as the monitor does, in a process with everything that the monitor imports, without an API server.
 
-It has the monitor's health observer (understudy.monitor.observe.robot.health_observer) with the same wake-ups
+It uses the monitor's health observer (understudy.monitor.observe.robot.health_observer) with the same wake-ups
 (understudy.monitor.observe.wakeups), kept state (understudy.monitor.act.instances.state_manager) and the black box
 (understudy.monitor.report.black_box).
 """

@@ -1,10 +1,11 @@
-"""The paper's second experiment: recovery times and CPU of its three configurations, while an arm moves from pose to pose.
+"""The paper's second experiment: recovery times and CPU of its three configurations, while an arm moves from pose to
+pose.
 
     scripts/bench manipulation [--failures 10] [--how deleted-by-force|frozen|killed] [--configurations restart executing ...]
 
-As `scripts/bench navigation` does it. Beside the paper's figures stands how far the arm is sent at once: the largest step
-between two commands of its joints, as the robot received them, when a planner takes over and in an undisturbed motion.
-It needs a cluster (KUBECONFIG).
+The method is that of `scripts/bench navigation`. In addition to the paper's figures it measures how far one command
+moves the arm: the largest step between two consecutive commands of its joints, as the robot received them, when a
+planner takes over and in an undisturbed motion. It needs a cluster (KUBECONFIG).
 """
 
 from __future__ import annotations

@@ -1,18 +1,20 @@
-"""What the monitor costs with the policy of examples/mobile_manipulator: beside `ros2 topic hz`-style callbacks in the same run.
+"""Measures what the monitor costs with the policy of examples/mobile_manipulator, compared with callbacks as in
+`ros2 topic hz` in the same run.
 
     scripts/bench manipulator [--seconds 20] [--rounds 3]
 
-One process publishes 10 topics of a mobile manipulator's types at 50 Hz (its IMU at 100 Hz, since the policy asks for more
-than 80), with the jitter of nodes, while a goal of each of its two actions is active, so that every leaf counts. Six of
-them are the policy's, judged by it as it stands in its file; the other four are judged by a leaf each that is put beside
-those of its sensors. Four watch them at the same time:
+One process publishes 10 topics of a mobile manipulator's types at 50 Hz (its IMU at 100 Hz, since the policy
+requires more than 80), with the jitter of nodes. A goal of each of its two actions is active, so that every leaf
+counts. The unchanged policy judges six of the topics; for each of the other four, a leaf is added to those of the
+policy's sensors. Four processes watch the topics at the same time:
 
-- ours: the monitor's own view of the robot in the monitor's process with all that it imports, as in `scripts/bench monitor`;
-  the velocities are gated, so they have a port of their own.
+- ours: the monitor's own view of the robot in the monitor's process with all that it imports, as in `scripts/bench
+  monitor`; the velocities are gated, so they have a port of their own.
 - keeping: the same, which also keeps the state of two of the topics, persists it and reports it.
-- recording: as ours, with the black box: all that it received in the last 30 seconds is in its memory.
-- callbacks: an rclpy node that does for each topic what `ros2 topic hz` does: a callback that notes the time, without
-  decoding the message, and every second the rate and the least, greatest and spread of the intervals of the last second.
+- recording: as ours, with the black box: everything that it received in the last 30 seconds is in its memory.
+- callbacks: an rclpy node that does for each topic what `ros2 topic hz` does: a callback stores the time without
+  decoding the message; every second the node computes the rate, and the minimum, maximum and spread of the intervals
+  of the last second.
 
 Cost is CPU time over all threads by the kernel's account, and resident memory.
 """
@@ -79,7 +81,7 @@ def monitoring() -> dict[str, Any]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=20.0, help="length of a round")
+    parser.add_argument("--seconds", type=float, default=20.0, help="length of a round in seconds")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--role", choices=list(ROLES), help=argparse.SUPPRESS)
     options = parser.parse_args()

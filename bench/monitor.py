@@ -1,18 +1,21 @@
-"""What the monitor costs, and how late it notices: beside a plain rclpy callback monitor in the same run.
+"""Measures what the monitor costs and how late it notices failures, compared with a plain rclpy callback monitor in the
+same run.
 
     scripts/bench monitor [--seconds 20] [--rounds 3] [--failures 50]
 
-One process publishes 5 topics at 50 Hz. Others watch them at the same time, with the same health tree: no topic
-silent for 500 ms, none below 10 Hz over 2 s.
+One process publishes 5 topics at 50 Hz. Three processes watch them at the same time, with the same health tree: no
+topic silent for 500 ms, none below 10 Hz over 2 s.
 
-- ours: the monitor's own view of the robot (understudy.monitor.observe.robot.health_observer) in the monitor's process with all that it
-  imports, woken at its ticks and deadlines; two of the topics are gated, so they have ports of their own.
+- ours: the monitor's own view of the robot (understudy.monitor.observe.robot.health_observer) in the monitor's
+  process with all that it imports, woken at its ticks and deadlines; two of the topics are gated, so they have ports
+  of their own.
 - keeping: the same, which also keeps the state of two of the topics, persists it and reports it
   (understudy.monitor.act.instances.state_manager, without an API server).
-- callbacks: an rclpy node with a callback per message and a timer of 50 ms that looks at the times, as one writes it.
+- callbacks: a usual rclpy node: one callback per message stores the time, and a timer of 50 ms checks the times.
 
-Cost is CPU time over all threads by the kernel's account, and resident memory. Lateness is how long after the
-configured timeout, counted from the receipt of the last message, a frozen publisher (SIGSTOP) is noticed.
+Cost is CPU time over all threads by the kernel's account, and resident memory. Lateness is the time from the end of
+the configured timeout, which starts when the last message is received, until a frozen publisher (SIGSTOP) is
+noticed.
 """
 
 from __future__ import annotations
@@ -49,7 +52,7 @@ PROCESSES: dict[str, dict[str, str]] = {"publishers": {}, "ours": {}, "keeping":
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=20.0, help="length of a round")
+    parser.add_argument("--seconds", type=float, default=20.0, help="length of a round in seconds")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--failures", type=int, default=50)
     parser.add_argument("--role", choices=list(ROLES), help=argparse.SUPPRESS)

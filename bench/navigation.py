@@ -2,10 +2,10 @@
 
     scripts/bench navigation [--failures 10] [--how deleted-by-force|frozen|killed] [--configurations restart executing ...]
 
-In each configuration the robot drives from goal to goal for as long as it takes to lose its stack so often. The parts of
-the recovery time (the paper's equation 1) are the monitor's record of packets and samples, the gap is the robot's own log,
-and the CPU the kubelets' counters over the whole drive (the paper's sigma(CPU)). Writes two pictures beside the results.
-It needs a cluster (KUBECONFIG).
+In each configuration the robot drives from goal to goal until its stack has failed --failures times. The parts of
+the recovery time (the paper's equation 1) come from the monitor's record of packets and samples, the gap from the
+robot's own log, and the CPU from the kubelets' counters over the whole drive (the paper's sigma(CPU)). The bench
+writes two pictures next to the results. It needs a cluster (KUBECONFIG).
 """
 
 from __future__ import annotations

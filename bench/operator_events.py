@@ -1,10 +1,12 @@
-"""What the operator's event source costs: kopf for every kind, or kopf for our own kinds and `runtime.watches` for the others.
+"""Measures what the operator's event source costs: kopf for every kind, or kopf for our own kinds and `runtime.watches`
+for the others.
 
     scripts/bench operator_events [--robots 1000]
 
-A stub API server on loopback serves lists and watches of a fleet's objects, about 9 objects a robot. Each way runs in a process of its own
-that only feeds the store. Measured: processor time and seconds until everything was seen, memory after that, and the delay of a burst of
-changes from the server's write to the store. docs/explanation/operator-events.md says what follows from the figures.
+A stub API server on loopback serves lists and watches of a fleet's objects, about 9 objects per robot. Each variant
+runs in a process of its own that only fills the store. Measured: processor time and seconds until the process has
+seen every object, its memory after that, and the delay of a burst of changes from the server's write to the store.
+docs/explanation/operator-events.md says what follows from the figures.
 """
 
 from __future__ import annotations

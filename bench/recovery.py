@@ -1,10 +1,11 @@
-"""Recoveries on the real cluster: the four parts of the paper's equation, and the gap that the robot saw, per strategy.
+"""Measures recoveries on the real cluster: the four parts of the paper's equation, and the gap that the robot saw, per
+strategy.
 
     scripts/bench recovery [--failures 20] [--how killed|frozen|deleted] [--strategies executing uninitialized restart]
 
-Every failure is real (by default the application's process is killed by SIGKILL in its pod) and every figure is either
-the monitor's record of packets and samples, or the robot's own log. The gap includes the timeout, since the robot had
-no commands for all of it.
+Every failure is real (by default SIGKILL ends the application's process in its pod). Every figure comes from the
+monitor's record of packets and samples, or from the robot's own log. The gap includes the timeout, because the robot
+had no commands during the timeout either.
 """
 
 from __future__ import annotations

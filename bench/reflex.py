@@ -1,10 +1,12 @@
-"""The reflex on the real cluster, measured at the robot: how long it had no command, and whether the loser ever came back.
+"""Measures the reflex on the real cluster, at the robot: how long it had no command, and whether the loser ever came
+back.
 
     scripts/bench reflex [--failures 50] [--deadline 100] [--how killed frozen cut]
 
-The failures take turns: the application killed, frozen (and thawed after the commit), its node's cable pulled (and put back
-after the commit); every second one with the API server stopped from before the failure until the robot was driven for a
-while. For the local provider only, since no other one can do all that.
+The failures take turns: the application is killed; it is frozen (and thawed after the commit); its node's cable is
+pulled (and put back after the commit). In every second failure the API server is stopped before the failure, until
+the robot has been driven again for a while. The bench needs the local provider, because no other provider can do all
+that.
 """
 
 from __future__ import annotations

@@ -1,13 +1,14 @@
-"""How operator, monitors and API server do with a fleet of many robots, and how that grows with their number.
+"""Measures operator, monitors and API server with a fleet of many robots, and how their figures grow with the number of
+robots.
 
     scripts/bench scale [--robots 1000] [--pool 100] [--fleet 100] [--rate 100] [--seconds 10] [--pictures docs/images]
 
-On a control plane of its own (a real API server, controllers and scheduler; kwok simulates nodes and pods) the operator runs
-as the process that it is, and monitors with the real code of views, claims, gates and recoveries share some processes, each with
-its own account, connections and watches. Robots come in fleets that have a namespace and a pool of --pool pods each.
-At a tenth, three tenths and all of --robots it measures: at rest, so many failures at once, failures and claims that come
-independently of each other (open-loop: counted from when they were to come), and a start of the operator with all objects.
-docs/scale.md has what is simulated, and what the figures mean.
+The bench has its own control plane: a real API server, controllers and scheduler; kwok simulates nodes and pods. The
+operator runs as its usual process. Monitors share some processes: each has the real code of views, claims, gates and
+recoveries, and its own account, connections and watches. Each fleet has a namespace and a pool of --pool pods. At a
+tenth, three tenths and all of --robots the bench measures: the fleet at rest, --burst failures at once, failures and
+claims that come independently of each other (open-loop: times count from when each was due), and a start of the
+operator with all objects. docs/scale.md lists what is simulated, and says what the figures mean.
 """
 
 from __future__ import annotations
@@ -553,25 +554,33 @@ def main() -> None:
     parser.add_argument("--robots", type=int, default=1000)
     parser.add_argument("--pool", type=int, default=100, help="pods of each fleet's shared pool")
     parser.add_argument("--fleet", type=int, default=100, help="robots that share a namespace and a pool")
-    parser.add_argument("--rate", type=float, default=100.0, help="claims a second")
-    parser.add_argument("--seconds", type=float, default=10.0, help="of claims, as long as there are pods")
-    parser.add_argument("--burst", type=int, default=100, help="failures at once")
-    parser.add_argument("--failures", type=float, default=2.0, help="failures a second that come independently")
-    parser.add_argument("--failing", type=float, default=30.0, metavar="SECONDS", help="of such failures")
+    parser.add_argument("--rate", type=float, default=100.0, help="claims per second")
+    parser.add_argument("--seconds", type=float, default=10.0, help="duration of the claims, as long as there are pods")
+    parser.add_argument("--burst", type=int, default=100, help="number of failures at once")
+    parser.add_argument("--failures", type=float, default=2.0, help="independent failures per second")
+    parser.add_argument("--failing", type=float, default=30.0, metavar="SECONDS", help="duration of these failures")
     parser.add_argument(
-        "--rest", type=float, default=120.0, metavar="SECONDS", help="at rest: some of the operator's lists"
+        "--rest",
+        type=float,
+        default=120.0,
+        metavar="SECONDS",
+        help="time at rest, long enough for some of the operator's lists",
     )
-    parser.add_argument("--only-rest", action="store_true", help="measure the rest and the start, and no failures")
+    parser.add_argument(
+        "--only-rest", action="store_true", help="measure only the fleet at rest and the start, without failures"
+    )
     parser.add_argument(
         "--sizes",
         type=lambda text: [int(size) for size in text.split(",")],
         help="numbers of robots, such as 100,300,1000",
     )
-    parser.add_argument("--processes", type=int, default=os.cpu_count(), help="that monitors share")
+    parser.add_argument(
+        "--processes", type=int, default=os.cpu_count(), help="number of processes that the monitors share"
+    )
     parser.add_argument(
         "--pictures", type=Path, metavar="FOLDER", help="draw scale-claims.png, -burst.png, -growth.png"
     )
-    parser.add_argument("--seed", type=int, default=1, help="of who fails when")
+    parser.add_argument("--seed", type=int, default=1, help="seed that determines which robot fails when")
     parser.add_argument("--keep", action="store_true", help="leave the cluster running")
     parser.add_argument("--role", help=argparse.SUPPRESS)
     options = parser.parse_args()

@@ -1,11 +1,12 @@
-"""Whether the monitor ever raises a false alarm while nothing fails and all cores are busy.
+"""Checks whether the monitor ever raises a false alarm while nothing fails and all cores are busy.
 
     scripts/bench soak [--minutes 30]
 
-A robot at work (bench/leaves.py) is judged by 20 leaves as the monitor does, and nothing is done to it. Beside it a
-process for each core computes without a pause, at the priority of all others. The robot's processes get their share of the
-processor like others, and each remembers when it sent what: if an alarm is raised about a message that was late by its
-sender's own clock, the sender was starved and the alarm is true. It is counted as such, with what the sender says.
+A robot at work (bench/leaves.py) is judged by 20 leaves as in the monitor, and the bench causes no failure.
+Meanwhile one process per core computes without a pause, at the same priority as all others. The robot's processes
+compete for the processor like all others, and each records when it sent which message. If the message of an alarm
+was late by its sender's own clock, the sender was starved and the alarm is true. The bench counts such alarms
+separately, with the sender's record.
 """
 
 from __future__ import annotations

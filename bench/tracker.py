@@ -1,10 +1,10 @@
-"""The tracker and the leaf `motion` on a rendered robot: how exact poses and speeds are, how soon a stop is found, and whether
-ordinary driving trips it.
+"""Measures the tracker and the leaf `motion` on a rendered robot: how exact poses and speeds are, how soon a stop is
+detected, and whether ordinary driving raises a false alarm.
 
     scripts/bench tracker [--minutes 10] [--stops 40]
 
-The time of the simulation is what counts, so nothing depends on how fast this machine is. Images are rendered and markers
-detected for real; a message of the tracker's comes `LATENCY` after its image was taken.
+All times are simulation time, so nothing depends on the speed of this machine. Images are really rendered and
+markers really detected; each message of the tracker comes `LATENCY` after its image was taken.
 """
 
 from __future__ import annotations
@@ -275,7 +275,7 @@ def main() -> int:
     parser.add_argument("--stops", type=int, default=40)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument(
-        "--picture", type=Path, help="only write what the camera sees, with what the tracker made of it"
+        "--picture", type=Path, help="only write an image of the camera, with what the tracker detected in it"
     )
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
