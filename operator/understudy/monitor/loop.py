@@ -212,7 +212,7 @@ class MonitorLoop:
         try:
             async with aclosing(self.act.deferral.until_allowed(progress)) as deferred:
                 async for _ in deferred:
-                    self._meanwhile()
+                    self._continue_other_work()
         except ENDS as error:
             return self.act.recoveries.abandoned(progress, error)
         policy = self._view.policy
@@ -248,7 +248,7 @@ class MonitorLoop:
         self.decide.conclude(outcome)
         self.act.conclude(outcome)
 
-    def _meanwhile(self) -> None:
+    def _continue_other_work(self) -> None:
         """Do the work that continues while a recovery is deferred."""
         if (policy := self._view.policy) is not None:
             self.act.follow_safety(policy)

@@ -347,13 +347,16 @@ async def test_the_operator_checks_once_whether_the_token_of_a_recreated_pool_ex
     # The operator deletes it with the last pod of the pool before, or it goes with their namespace: only a list shows that.
     store, before = Store(), secret()
     before["metadata"]["creationTimestamp"] = "2026-01-01T00:00:00Z"
-    anew = {**POOL, "metadata": {**POOL["metadata"], "uid": "uid-anew", "creationTimestamp": "2026-01-01T00:01:00Z"}}
+    recreated = {
+        **POOL,
+        "metadata": {**POOL["metadata"], "uid": "uid-anew", "creationTimestamp": "2026-01-01T00:01:00Z"},
+    }
     store.put(SECRETS, before)
-    store.put(POOLS, anew)
+    store.put(POOLS, recreated)
     reading = Reading(before if there else None)
     observer = Observer(cast(Client, reading), store, Expectations())
     for _ in range(2):
-        found = await observer.pool(anew)
+        found = await observer.pool(recreated)
         assert bool(found.secret) == there
         assert bool(created(plan(found), "secrets")) != there
     assert reading.asked == 1

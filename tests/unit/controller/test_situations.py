@@ -53,14 +53,14 @@ def situational(*situations: tuple[str, tuple[str, ...]], always: tuple[str, ...
 CARRYING = situational(("carrying", ("hot", "spare")))
 
 
-def saying(situation: str, **more: Any) -> Object:
+def status_in(situation: str, **more: Any) -> Object:
     status = {"situation": {"name": situation, "since": "2026-01-01T00:00:00Z"}} if situation else {}
     return {"health": "Healthy", **status, **more}
 
 
 def world(asked: Object = CARRYING) -> World:
     """A workload with its pod in control and a standby of the pool that is always in force, all of it built."""
-    made = World(workload(status=saying("")), asked, hot(), warm(), spare())
+    made = World(workload(status=status_in("")), asked, hot(), warm(), spare())
     active = source_pod("w-a")
     made.pods = [active]
     made.own(gate(made.workload, active=active, epoch=3))
@@ -83,7 +83,7 @@ def standby(made: World, name: str, pool: str, *, ready: bool = True) -> Object:
 
 def enter(made: World, situation: str) -> None:
     """What the monitor says."""
-    made.workload["status"] = saying(situation)
+    made.workload["status"] = status_in(situation)
 
 
 def covered(made: World) -> tuple[str, str]:
@@ -215,7 +215,7 @@ def test_a_situation_with_only_a_restart_is_in_force_at_once() -> None:
 def test_a_recovery_delays_the_strategies_of_a_situation() -> None:
     made = world()
     made.pods.append(standby(made, "w-hot", "hot"))
-    made.workload["status"] = saying("carrying", health="Recovering")
+    made.workload["status"] = status_in("carrying", health="Recovering")
     plan = made.plan()
     assert order(plan) == ["warm", "spare", "Restart"]
     assert settings_of(plan).situation is None
@@ -282,7 +282,7 @@ def test_the_requirements_of_a_situation_choose_strategies_again() -> None:
 
 def test_a_policy_without_situations_has_no_condition_about_them() -> None:
     made = world(policy("warm", "spare", "Restart"))
-    made.workload["status"] = saying("carrying")
+    made.workload["status"] = status_in("carrying")
     assert settings_of(made.plan()).strategies is None
     assert "SituationCovered" not in [one["type"] for one in made.status()["conditions"]]
     assert pools_of(made.plan()) == {"hot"}, "as ever, of each pool that serves it"
@@ -316,7 +316,7 @@ async def test_a_pool_counts_no_standby_for_a_workload_whose_situation_does_not_
             return {"items": []}
 
     store = Store()
-    item = workload(status=saying("", strategies="Initialized (warm), Uninitialized (spare), Restart"))
+    item = workload(status=status_in("", strategies="Initialized (warm), Uninitialized (spare), Restart"))
     for resource, found in ((WORKLOADS, item), (POLICIES, CARRYING), (POOLS, hot()), (POOLS, warm())):
         store.put(resource, found)
     observer = Observer(Nobody(), store, Expectations())

@@ -191,7 +191,7 @@ class Reflexive(Simulation):
         """It refuses everything, or nothing arrives there; and mostly something else happens meanwhile."""
         lasts = 0.5 + 9 * self.choices.random()
         self.choices.choice([self._refuses, self._is_away])(lasts)
-        meanwhile = [
+        simultaneous = [
             self._one_fails,
             self._active_hangs,
             self._node_is_cut_off,
@@ -199,7 +199,7 @@ class Reflexive(Simulation):
             self._monitor_dies,
         ]
         for _ in range(self.choices.randint(0, 2)):
-            self.later(lasts * self.choices.random(), self.choices.choice(meanwhile))
+            self.later(lasts * self.choices.random(), self.choices.choice(simultaneous))
 
     def _refuses(self, lasts: float) -> None:
         self.note(f"the API server refuses everything for {lasts:.1f} s")

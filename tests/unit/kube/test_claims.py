@@ -28,7 +28,7 @@ class Lossy(MemoryClient):
     def __init__(self, *losses: tuple[Exception, bool]) -> None:
         super().__init__()
         self.losses = list(losses)
-        self.meanwhile: Callable[[], None] = lambda: None
+        self.during_request: Callable[[], None] = lambda: None
 
     async def patch(self, *args: object, **more: object) -> Object:
         if not self.losses:
@@ -36,7 +36,7 @@ class Lossy(MemoryClient):
         error, carried_out = self.losses.pop(0)
         if carried_out:
             await super().patch(*args, **more)  # type: ignore[arg-type]
-        self.meanwhile()
+        self.during_request()
         raise error
 
 
@@ -89,7 +89,7 @@ async def test_a_pod_that_another_workload_claims_during_our_request_is_not_ours
     def another() -> None:
         item["metadata"] |= {"labels": {names.WORKLOAD: "v"}, "annotations": {names.CLAIM: "uid-v/1"}}
 
-    client.meanwhile = another
+    client.during_request = another
     with pytest.raises(ApiError) as refused:
         await claimed(client, pod)
     assert refused.value.conflict

@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from tests.unit.ros.judging import Judged, tell
+from tests.unit.ros.judged_tree import Judged, tell
 from understudy.ros.actions.diagnostics_topic import Diagnostics, Status
 from understudy.ros.observe.message_contents import OURS, ours
 

@@ -18,7 +18,7 @@ from tests.support.golden import assert_golden
 
 pytest.importorskip("rclpy")
 
-from tests.unit.ros.judging import Judged
+from tests.unit.ros.judged_tree import Judged
 from tests.unit.ros.processes import Processes
 from understudy.ros.actions.instance_calls import CallFailed, InstanceCaller
 from understudy.ros.dds.host_ids import HOST

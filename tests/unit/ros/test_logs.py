@@ -11,7 +11,7 @@ from tests.support.golden import assert_golden
 
 pytest.importorskip("rclpy")
 
-from tests.unit.ros.judging import Judged
+from tests.unit.ros.judged_tree import Judged
 from understudy.ros.dds.host_ids import HOST, VENDOR
 from understudy.ros.observe.topic_watch import TopicWatch
 

@@ -9,7 +9,7 @@ from tests.support.golden import assert_golden
 
 pytest.importorskip("rclpy")
 
-from tests.unit.ros.judging import Judged, tell
+from tests.unit.ros.judged_tree import Judged, tell
 from understudy.ros.observe import topic_watch as module
 from understudy.ros.observe.message_contents import HEAD, Received, begins_with_header
 from understudy.ros.runtime.interface_types import message_class, message_fields

@@ -13,7 +13,7 @@ from tests.support.golden import assert_golden
 
 pytest.importorskip("rclpy")
 
-from tests.unit.ros.judging import Judged
+from tests.unit.ros.judged_tree import Judged
 from understudy.agent.instance_health import _OwnOutputs
 from understudy.ros.runtime.graph_node import Graph
 

@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from tests.unit.ros.judging import Judged
+from tests.unit.ros.judged_tree import Judged
 from understudy.ros.dds.host_ids import HOST, VENDOR, host_id
 from understudy.ros.observe.topic_watch import TopicWatch
 from understudy.ros.runtime.graph_node import Endpoint, Graph

@@ -14,7 +14,7 @@ from tests.support.golden import assert_golden
 
 pytest.importorskip("rclpy")
 
-from tests.unit.ros.judging import Judged
+from tests.unit.ros.judged_tree import Judged
 from understudy.ros.actions.instance_calls import InstanceCaller
 from understudy.ros.dds.host_ids import HOST
 from understudy.ros.observe.parameter_values import EVENTS, ParameterValues, Setting, setting

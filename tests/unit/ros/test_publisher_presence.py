@@ -12,7 +12,7 @@ from tests.support.golden import assert_golden
 
 pytest.importorskip("rclpy")
 
-from tests.unit.ros.judging import Judged
+from tests.unit.ros.judged_tree import Judged
 from understudy.ros.dds.host_ids import HOST, VENDOR, host_id
 from understudy.ros.observe import topic_watch as module
 from understudy.ros.observe.topic_watch import TopicWatch

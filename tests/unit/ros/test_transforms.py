@@ -12,7 +12,7 @@ from tests.support.golden import assert_golden
 pytest.importorskip("rclpy")
 pytest.importorskip("tf2_msgs")
 
-from tests.unit.ros.judging import Judged, tell
+from tests.unit.ros.judged_tree import Judged, tell
 
 pytestmark = pytest.mark.ros
 

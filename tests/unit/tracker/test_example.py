@@ -89,7 +89,7 @@ def test_only_the_camera_detects_a_robot_that_stands_due_to_a_wrong_remapping(
 ):
     from understudy_demo import robotview
 
-    from tests.unit.ros.judging import Judged
+    from tests.unit.ros.judged_tree import Judged
 
     policy, _ = yaml.safe_load_all((MANIFESTS / "policy.yaml").read_text())
     configured, _ = yaml.safe_load_all((MANIFESTS / "tracker.yaml").read_text())

@@ -10,8 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.golden import assert_golden
+from tests.unit.trees.arbitrary_texts import garbled, loads_or_is_refused
 from tests.unit.trees.btcpp_texts import BOTH, LEAF, ODOM_XML, SCAN_XML, files, load_xml, problems
-from tests.unit.trees.garbled import garbled, loads_or_is_refused
+from tests.unit.trees.btcpp_writer import Writer
 from tests.unit.trees.replays import (
     POLICIES,
     SCRIPTS,
@@ -22,7 +23,6 @@ from tests.unit.trees.replays import (
     numbers,
     shape,
 )
-from tests.unit.trees.written import Writer
 from understudy.api.base import LONGEST_TEXT
 from understudy.trees.languages.btcpp.library import NODES
 from understudy.trees.languages.short.health_loader import load

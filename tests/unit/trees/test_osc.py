@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.unit.trees.garbled import garbled, loads_or_is_refused
+from tests.unit.trees.arbitrary_texts import garbled, loads_or_is_refused
 from tests.unit.trees.osc_texts import LEAF, load_osc, problems, scenario
 from tests.unit.trees.replays import POLICIES, SCRIPTS, TREES, Replay, named, numbers, shape
 from tests.unit.trees.scenarios import ScenarioWriter

@@ -16,10 +16,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.golden import assert_golden
-from tests.unit.trees.garbled import garbled, loaded_or_refused
+from tests.unit.trees.arbitrary_texts import garbled, loaded_or_refused
 from tests.unit.trees.procedure_texts import ACTIVE, ACTIVE_OSC, ACTIVE_XML, PATH, file, scenario
 from tests.unit.trees.procedure_world import LONG, Instance
-from tests.unit.trees.steps_written import as_scenario, as_xml
+from tests.unit.trees.procedure_writers import as_scenario, as_xml
 from understudy.api.kinds.procedure_spec import Check, Procedure
 from understudy.trees.core.procedure_steps import ProcedureFailed
 from understudy.trees.languages.btcpp import library

@@ -37,9 +37,9 @@ def test_a_healthy_tree_is_shown() -> None:
 
 def test_no_rate_is_shown_before_two_samples_or_after_a_monitor_restart() -> None:
     assert "Hz" not in "".join(printed(state()))
-    anew = state(104.0)
-    anew["tree"]["children"][0]["received"] = 1
-    assert "Hz" not in "".join(printed(state(), state(102.0), anew))
+    latest = state(104.0)
+    latest["tree"]["children"][0]["received"] = 1
+    assert "Hz" not in "".join(printed(state(), state(102.0), latest))
 
 
 def test_a_failure_is_shown_with_its_reason_and_colour() -> None:

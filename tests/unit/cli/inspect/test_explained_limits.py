@@ -6,7 +6,7 @@ import pytest
 
 from tests.support import fleet
 from tests.support.golden import assert_golden
-from tests.unit.cli.inspect.explained import explained_lines, known
+from tests.unit.cli.inspect.explanation_lines import explained_lines, known
 from understudy.api import names
 
 

@@ -11,7 +11,16 @@ from typing import Any
 import pytest
 
 from tests.unit.kube.memory import MemoryClient
-from tests.unit.monitor.abandoned import AWAY, DENIED, STANDBY, THIRD, Monitor, monitor_of, started_recovery, written
+from tests.unit.monitor.abandoned_recoveries import (
+    AWAY,
+    DENIED,
+    STANDBY,
+    THIRD,
+    Monitor,
+    monitor_of,
+    started_recovery,
+    written,
+)
 from understudy.api import names
 from understudy.failover.abandoned import AbandonedRecovery
 from understudy.failover.interfaces import Instance, Superseded

@@ -11,7 +11,7 @@ import pytest
 
 from tests.support.clock import Clock
 from tests.unit.kube.memory import MemoryClient
-from tests.unit.monitor.abandoned import STANDBY, THIRD, Monitor, monitor_of, started_recovery, written
+from tests.unit.monitor.abandoned_recoveries import STANDBY, THIRD, Monitor, monitor_of, started_recovery, written
 from understudy.failover.progress import LASTS, beside
 from understudy.kube.gates.base import GateRecord
 from understudy.monitor.act.recovery import abandonment

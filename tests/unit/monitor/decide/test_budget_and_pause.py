@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.unit.monitor.limited import ACTIVE, World, failure
+from tests.unit.monitor.limited_monitor import ACTIVE, World, failure
 from understudy.api.kinds.pause_spec import Pause
 from understudy.failover.decide import Recover
 from understudy.failover.interfaces import GateState, Instance, Superseded

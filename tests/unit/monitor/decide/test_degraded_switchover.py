@@ -10,7 +10,18 @@ from typing import Any
 import pytest
 
 from tests.support.golden import assert_golden
-from tests.unit.monitor.degraded import ACTIVE, FAILED, HAND_OVER, HANDED, HEALTHY, OTHER, SLOW, UNKNOWN, World, policy
+from tests.unit.monitor.degraded_workload import (
+    ACTIVE,
+    FAILED,
+    HAND_OVER,
+    HANDED,
+    HEALTHY,
+    OTHER,
+    SLOW,
+    UNKNOWN,
+    World,
+    policy,
+)
 from tests.unit.monitor.monitors import GivenMonitor
 from understudy.api.conditions import condition
 from understudy.api.kinds.task_spec import TaskStatus

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.unit.monitor.limited import ACTIVE, RESTART, World
+from tests.unit.monitor.limited_monitor import ACTIVE, RESTART, World
 from understudy.api.conditions import condition
 from understudy.failover.interfaces import Instance
 from understudy.failover.strategies.executing import ExecutingFallback

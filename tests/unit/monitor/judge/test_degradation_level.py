@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.golden import assert_golden
-from tests.unit.monitor.degraded import (
+from tests.unit.monitor.degraded_workload import (
     ACTIVE,
     FAILED,
     HEALTHY,

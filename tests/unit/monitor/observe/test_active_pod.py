@@ -14,7 +14,7 @@ from tests.support.golden import assert_golden
 pytest.importorskip("rclpy")
 
 from tests.unit.kube.memory import MemoryClient
-from tests.unit.monitor.observed import observing, policy_with
+from tests.unit.monitor.observed_robot import observing, policy_with
 from understudy.api import names
 from understudy.failover.interfaces import Instance
 from understudy.kube.client import POD_METRICS, ApiError, Object

@@ -17,8 +17,8 @@ from std_msgs.msg import String
 
 from tests.support.clock import Clock
 from tests.unit.monitor.cluster_objects import ClusterObjects
-from tests.unit.monitor.observed import STATUS, begin_task, count, observing, own_address, publisher, until
-from tests.unit.monitor.observed import policy_with as _policy
+from tests.unit.monitor.observed_robot import STATUS, begin_task, count, observing, own_address, publisher, until
+from tests.unit.monitor.observed_robot import policy_with as _policy
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.failover.interfaces import GateState, Instance

@@ -17,7 +17,7 @@ pytest.importorskip("rclpy")
 from mcap.reader import make_reader
 
 from tests.unit.dds import isolate_discovery
-from tests.unit.monitor.recorded import Monitored, policy
+from tests.unit.monitor.recorded_monitor import Monitored, policy
 from understudy.api.kinds.recording_spec import Recordings
 from understudy.monitor.report import black_box as module
 from understudy.process.http_pages import serve

@@ -15,7 +15,7 @@ pytest.importorskip("rclpy")
 from tests.support.golden import assert_golden
 from tests.unit.dds import isolate_discovery
 from tests.unit.monitor.cluster_objects import ClusterObjects
-from tests.unit.monitor.diagnosed import TREE
+from tests.unit.monitor.diagnosed_tree import TREE
 from tests.unit.monitor.senses import GivenObserver
 from tests.unit.ros.processes import Processes
 from understudy.api.kinds.robot_workload import GateStatus

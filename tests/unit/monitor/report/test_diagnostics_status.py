@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from tests.unit.monitor.diagnosed import TREE
+from tests.unit.monitor.diagnosed_tree import TREE
 from understudy.api.kinds.robot_workload import GateStatus, Health, Moments, Parts, Recovery
 from understudy.monitor.notices import Notices, PublishedStatus
 from understudy.monitor.report.diagnostics_status import LEVELS, LONGEST, Details, status, workload_state

@@ -30,7 +30,7 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from tests.unit.dds import isolate_discovery
-from tests.unit.monitor.recorded import Monitored
+from tests.unit.monitor.recorded_monitor import Monitored
 from understudy.monitor.report import black_box as module
 from understudy.ros.runtime.interface_types import message_class
 
