@@ -7,7 +7,7 @@ import os
 import tempfile
 import time
 import uuid
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
 import pytest
@@ -31,6 +31,10 @@ ALONE = {"api_server", "cordoned", "earlier", "stage", "without_operator"}
 """Fixtures that change what all robots of a cluster share: its nodes, its API server, the operator."""
 
 
+SELDOM, OFTEN = ("managed", "restarting", "uninitialized"), "executing"
+"""Fixtures of robots that tests share. Few tests use most of them: these tests stay in one process. Each process has one of the last."""
+
+
 @pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     mine = [item for item in items if "tests/e2e" in str(item.path)]
@@ -39,8 +43,29 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         item.add_marker(pytest.mark.flaky(reruns=1, rerun_except=NOT_AGAIN))
         if ALONE & set(getattr(item, "fixturenames", ())):
             item.add_marker(pytest.mark.alone)
-        if item.get_closest_marker("shared_robots"):
-            item.add_marker(pytest.mark.xdist_group(item.path.name))
+        if (robot := _shared(item)) in SELDOM:
+            item.add_marker(pytest.mark.xdist_group(robot))
+    # Tests that share a robot come last: they are short, so that all processes end together. Until then, none of these robots runs.
+    shared = {item: _shared(item) for item in mine}
+    items.sort(key=lambda item: ("", *SELDOM, OFTEN).index(shared.get(item, "")))
+
+
+def _shared(item: pytest.Item) -> str:
+    """The fixture of the robot that the test shares with others; empty where it has its own, or none."""
+    if item.get_closest_marker("alone") or item.get_closest_marker("own_robot"):
+        return ""
+    return next((name for name in (*SELDOM, OFTEN) if name in getattr(item, "fixturenames", ())), "")
+
+
+FAILED = pytest.StashKey[bool]()
+"""Whether the test has failed, so that nobody else gets its robot."""
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    report = yield
+    item.stash[FAILED] = report.failed
+    return report
 
 
 def install(kubeconfig: Path, chart: Path = CHART, *arguments: str, images: str = "") -> Kubectl:
@@ -113,9 +138,9 @@ def _leave(kubectl: Kubectl) -> None:
         kubectl("delete", "namespace", kubectl.namespace, "--wait=false", "--ignore-not-found")
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def shared(release: Kubectl, namespaces: list[str]) -> Iterator[dict[str, Robot]]:
-    """The robots that the tests of a file marked ``shared_robots`` use one after the other, by strategy."""
+    """The robot that tests use one after the other, by strategy."""
     robots: dict[str, Robot] = {}
     yield robots
     for robot in robots.values():
@@ -140,12 +165,21 @@ def restarting(request: pytest.FixtureRequest) -> Robot:
     return _robot(request, "restart")
 
 
-def _robot(request: pytest.FixtureRequest, strategy: str) -> Robot:
-    """The test's own robot, or the one that the tests of its file share, as long as that one is well."""
-    if request.node.get_closest_marker("shared_robots") is None or request.node.get_closest_marker("own_robot"):
-        return _started(request.getfixturevalue("kubectl"), strategy)
+@pytest.fixture
+def managed(request: pytest.FixtureRequest) -> Robot:
+    """A robot whose application is a managed node, with a standby that waits configured."""
+    return _robot(request, "initialized", workload="managed/robotworkload.yaml")
+
+
+def _robot(request: pytest.FixtureRequest, strategy: str, workload: str = "robotworkload.yaml") -> Robot:
+    """The test's own robot, or the one that tests share, as long as that one is well. Only one that is shared runs at a time."""
+    if not _shared(request.node):
+        return _started(request.getfixturevalue("kubectl"), strategy, workload)
     robots: dict[str, Robot] = request.getfixturevalue("shared")
-    if (robot := robots.pop(strategy, None)) is not None:
+    robot = robots.pop(strategy, None)
+    while robots:
+        _leave(robots.popitem()[1].kubectl)
+    if robot is not None:
         try:
             robot.wait_protected(within=30)
         except Late:
@@ -153,16 +187,23 @@ def _robot(request: pytest.FixtureRequest, strategy: str) -> Robot:
             robot = None
     if robot is None:
         release, namespaces = request.getfixturevalue("release"), request.getfixturevalue("namespaces")
-        robot = _started(_namespace(release, namespaces), strategy)
+        robot = _started(_namespace(release, namespaces), strategy, workload)
     robot.begin()
-    request.addfinalizer(lambda: robots.setdefault(strategy, robot))
+
+    def end() -> None:
+        if request.node.stash[FAILED]:
+            _leave(robot.kubectl)
+        else:
+            robots[strategy] = robot
+
+    request.addfinalizer(end)
     return robot
 
 
-def _started(kubectl: Kubectl, strategy: str) -> Robot:
+def _started(kubectl: Kubectl, strategy: str, workload: str) -> Robot:
     robot = Robot(kubectl)
     kubectl.apply(manifest(f"strategies/{strategy}.yaml"))
-    kubectl.apply(robot.objects(policy=f"quickstart-{strategy}"))
+    kubectl.apply(robot.objects(policy=f"quickstart-{strategy}", workload=workload))
     robot.wait_protected()
     return robot
 

@@ -156,7 +156,7 @@ class Robot:
     def begin(self) -> None:
         """Forget what happened so far: the log begins now, and the next recovery is number 1 of this test.
 
-        For tests of one file that share a robot.
+        For tests that share a robot.
         """
         self._begun = time.time()
         self._recovered_before = self.status().get("recoveryCount", 0)
@@ -182,6 +182,12 @@ class Robot:
         found = [Recovered.read(entry) for entry in reversed(self.status().get("recoveries") or [])]
         before = self._recovered_before
         return [replace(one, number=one.number - before) for one in found if one.number > before]
+
+    def record(self, number: int) -> Object:
+        """Its n-th recovery as it stands in the status."""
+        number += self._recovered_before
+        found: Object = next(entry for entry in self.status()["recoveries"] if entry["number"] == number)
+        return found
 
     def wait_unobserved(self, number: int, within: float, *, first: float = 1.0) -> Recovered:
         """Wait for its n-th recovery, and ask nothing for the first seconds and then only once.

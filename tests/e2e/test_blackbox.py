@@ -33,6 +33,7 @@ def messages(bag: Bag, topic: str) -> list[tuple[BagTrack, Any]]:
     return [(taken, bag.definitions.read(taken.data, type_)) for taken in bag.messages({topic: type_})]
 
 
+@pytest.mark.own_robot  # its policy is changed, and the first recovery is number 1
 def test_the_black_box_keeps_a_failure_and_the_time_before_it(executing: Robot, tmp_path: Path) -> None:
     old = executing.wait_protected()
     executing.kubectl.patch("failurepolicy", "quickstart-executing", {"spec": {"blackBox": {"window": f"{KEPT:g}s"}}})

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 
+import pytest
+
 from tests.e2e.kubectl import Kubectl
 from tests.e2e.scenario import Robot, eventually
 
@@ -19,6 +21,7 @@ def left(kubectl: Kubectl) -> set[tuple[str, str]]:
     return {(item["kind"], item["metadata"]["name"]) for item in items} - OF_KUBERNETES
 
 
+@pytest.mark.own_robot
 def test_deleting_the_workload_and_its_robot_leaves_nothing(executing: Robot) -> None:
     kubectl = executing.kubectl
     old = executing.wait_protected()

@@ -9,6 +9,7 @@ import json
 import subprocess
 from pathlib import Path
 
+import pytest
 import yaml
 
 from tests.e2e.console import completed, offline, understudy, watching
@@ -33,6 +34,7 @@ def judged_as_it_is(robot: Robot, file: Path) -> None:
     assert "'often'" in wrong.stdout
 
 
+@pytest.mark.own_robot  # nothing has failed yet
 def test_the_console_shows_a_robot_before_and_after_a_failure(executing: Robot, tmp_path: Path) -> None:
     kubectl, name = executing.kubectl, executing.workload
     active = executing.wait_protected()
@@ -108,9 +110,10 @@ def test_status_watch_prints_every_change(executing: Robot, tmp_path: Path) -> N
         eventually(lambda: told(f"active {active} (epoch "), within=60, what="who is in control is told")
         executing.delete(active, force=True)
         new = executing.wait_recovered(1)
+        number = executing.status()["recoveryCount"]
         driving = f"active {new.new} (epoch {new.epoch})"
         eventually(lambda: told(driving), within=60, what="who took over is told")
-        eventually(lambda: told("last recovery #1 "), within=60, what="how it was recovered is told")
+        eventually(lambda: told(f"last recovery #{number} "), within=60, what="how it was recovered is told")
         executing.wait_protected()
         eventually(
             lambda: "; Healthy; protected; " in told(driving)[-1], within=60, what="that it is protected is told"

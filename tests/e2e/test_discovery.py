@@ -9,8 +9,6 @@ import pytest
 from tests.e2e.scenario import Robot, eventually
 from tests.e2e.test_strategies import assert_handed_over
 
-pytestmark = pytest.mark.shared_robots
-
 
 def serving(robot: Robot) -> list[str]:
     """The ready pods of the discovery server."""

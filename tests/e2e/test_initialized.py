@@ -11,16 +11,6 @@ from tests.e2e.test_strategies import assert_handed_over
 POOL = "quickstart-initialized"
 
 
-@pytest.fixture
-def managed(kubectl: Kubectl) -> Robot:
-    """A robot whose application is a managed node, with a standby that waits configured."""
-    robot = Robot(kubectl)
-    kubectl.apply(manifest("strategies/initialized.yaml"))
-    kubectl.apply(robot.objects(policy=POOL, workload="managed/robotworkload.yaml"))
-    robot.wait_protected()
-    return robot
-
-
 def standbys(robot: Robot) -> list[Object]:
     active = robot.status().get("active")
     return [
@@ -78,6 +68,7 @@ def test_a_configured_standby_is_activated_and_takes_over(managed: Robot, how: s
     )
 
 
+@pytest.mark.own_robot  # its pool is deleted
 def test_a_standby_counts_only_while_its_check_holds_and_is_replaced_otherwise(managed: Robot) -> None:
     active = managed.wait_protected()
     wait_counted(managed, 1)

@@ -12,8 +12,6 @@ from tests.e2e.scenario import Robot, eventually, manifest, never, patient
 from tests.e2e.test_shared_pool import fail_at_once
 from tests.e2e.test_strategies import assert_handed_over
 
-pytestmark = pytest.mark.shared_robots
-
 SAFE = "safe"
 WATCHED = 8.0
 """Seconds for which it is looked whether nothing is done."""
@@ -142,6 +140,7 @@ def test_a_pause_ends_at_its_time(executing: Robot) -> None:
     assert over["reason"] == "Over"
     assert time.time() >= begun + 14
     executing.wait_protected()
+    assert understudy(executing.kubectl, "resume", executing.workload).returncode == 0
 
 
 @pytest.mark.long

@@ -193,6 +193,7 @@ def value(query: Query, expression: str) -> float:
     return float(found[0]["value"][1])
 
 
+@pytest.mark.own_robot  # whose namespace is that of `kubectl`
 def test_a_failover_is_seen_in_metrics_alerts_and_dashboards(
     executing: Robot, kubectl: Kubectl, release: Kubectl, programs: Path, query: Query, prometheus: str, tmp_path: Path
 ) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 from itertools import pairwise
 
+import pytest
+
 from tests.e2e.scenario import Robot, eventually
 
 SAFE = "safe"
@@ -13,6 +15,7 @@ LATE = 0.25
 """Seconds that a message or its sender may be held up by a busy machine."""
 
 
+@pytest.mark.own_robot  # its policy is changed
 def test_a_robot_without_an_active_instance_receives_the_safe_command(restarting: Robot) -> None:
     old = restarting.wait_protected()
     command = {"topic": "/cmd_vel", "every": "50ms", "message": {"header": {"frame_id": SAFE, "stamp": "now"}}}

@@ -12,8 +12,6 @@ from tests.e2e.scenario import Robot, never
 ENFORCEMENT = 0.1
 """Seconds within which one gate enforcement must be over (the enforcer's own figures are milliseconds)."""
 
-pytestmark = pytest.mark.shared_robots
-
 FAILURES = ["killed", "frozen", "deleted"]
 
 
