@@ -85,14 +85,14 @@ def test_a_spent_budget_leads_to_safe_commands_until_somebody_resumes(
 
 
 def test_the_budget_is_available_again_after_its_window(kubectl: Kubectl) -> None:
-    robot = executing_with(kubectl, limits={"budget": {"recoveries": 1, "within": "40s"}})
+    robot = executing_with(kubectl, limits={"budget": {"recoveries": 1, "within": "30s"}})
     first = robot.wait_protected()
     robot.fail(first, "frozen")
     recovery = robot.wait_recovered(1)
     robot.wait_standby()
     robot.fail(recovery.new, "frozen")
     again = robot.wait_recovered(2, within=120)
-    assert again.moments["released"] >= recovery.moments["detected"] + 40
+    assert again.moments["released"] >= recovery.moments["detected"] + 30
     assert_handed_over(robot, again)
 
 
@@ -129,7 +129,7 @@ def test_a_failure_during_a_pause_is_recovered_after_it(executing: Robot) -> Non
 def test_a_pause_ends_at_its_time(executing: Robot) -> None:
     executing.wait_protected()
     begun = time.time()
-    paused = understudy(executing.kubectl, "pause", executing.workload, "--reason", "a photo", "--for", "15s")
+    paused = understudy(executing.kubectl, "pause", executing.workload, "--reason", "a photo", "--for", "8s")
     assert paused.returncode == 0
     over = eventually(
         lambda: (found := executing.condition("Paused")).get("status") == "False" and found,
@@ -138,7 +138,7 @@ def test_a_pause_ends_at_its_time(executing: Robot) -> None:
         note=executing.describe,
     )
     assert over["reason"] == "Over"
-    assert time.time() >= begun + 14
+    assert time.time() >= begun + 7
     executing.wait_protected()
     assert understudy(executing.kubectl, "resume", executing.workload).returncode == 0
 

@@ -205,7 +205,7 @@ def test_goals_outlive_two_instances_and_the_proxys_pod_with_a_standby(kubectl: 
 def outlives(cell: Cell, disturb: Callable[[str], None]) -> None:
     """Two goals, two instances that die one after the other, and in between what ``disturb`` does to the proxy's pod."""
     kubectl, first = cell.kubectl, cell.wait_protected()
-    client = cell.client("client", "400", "401")
+    client = cell.client("client", "300", "301")
     client.wait("feedback", 90, index=1)
     goals = {line["goal"] for line in client.said("answered", accepted=True)}
     assert len(goals) == 2
