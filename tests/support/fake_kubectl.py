@@ -101,6 +101,13 @@ class FakeKubectl:
         program.write_text(SCRIPT.format(settings=str(self._settings), asked=str(self._asked)))
         program.chmod(0o755)
 
+    def begin_with(self, code: str) -> None:
+        """Run this code at the beginning of each call."""
+        program = self.folder / "kubectl"
+        text, begin = program.read_text(), "arguments = sys.argv[1:]"
+        assert begin in text
+        program.write_text(text.replace(begin, f"{code}\n{begin}", 1))
+
     def tell(
         self,
         items: Sequence[dict[str, Any]],

@@ -163,7 +163,7 @@ class Person:
         errand = Errand()
         sent = self._client.send_goal_async(request, feedback_callback=errand.fed_back)
         sent.add_done_callback(errand.answered)
-        assert errand.answered.wait(20), "no answer to the goal"
+        assert errand.has_answer.wait(20), "no answer to the goal"
         return errand
 
     @property
@@ -176,7 +176,7 @@ class Errand:
     """A goal that was sent."""
 
     def __init__(self) -> None:
-        self.answered = threading.Event()
+        self.has_answer = threading.Event()
         self.accepted = False
         self.feedback: list[Any] = []
         self.status: int | None = None
@@ -191,7 +191,7 @@ class Errand:
         self.accepted = self._handle.accepted
         if self.accepted:
             self._handle.get_result_async().add_done_callback(self._resulted)
-        self.answered.set()
+        self.has_answer.set()
 
     def _resulted(self, future: Any) -> None:
         answer = future.result()

@@ -87,16 +87,8 @@ def test_an_unknown_error_of_kubectl_is_reported_unchanged(
 
 def test_kubectl_gets_an_empty_standard_input(stand: FakeKubectl) -> None:
     """Or it would wait for a name or a password that nobody knows it asks for, since what it writes is read by the command."""
-    program = stand.folder / "kubectl"
-    program.write_text(
-        program.read_text().replace("given = sys.argv[1:]", "given = sys.argv[1:]\nassert not sys.stdin.read()", 1)
-    )
+    stand.begin_with("assert not sys.stdin.read()")
     assert timeline.main([NAME]) == 0
-
-
-def with_plugin(stand: FakeKubectl, plugin: str) -> None:
-    program = stand.folder / "kubectl"
-    program.write_text(program.read_text().replace("given = sys.argv[1:]", f"{plugin}\ngiven = sys.argv[1:]", 1))
 
 
 def started(stdin: int) -> subprocess.Popen[bytes]:
@@ -114,7 +106,7 @@ def read_until(running: subprocess.Popen[bytes], words: bytes) -> bytes:
 
 
 def test_the_user_at_the_terminal_can_answer_a_credential_plugin(stand: FakeKubectl) -> None:
-    with_plugin(stand, ASKS)
+    stand.begin_with(ASKS)
     ours, its = os.openpty()
     with started(its) as running:
         assert read_until(running, b"Token: ") == b"Token: "
@@ -125,7 +117,7 @@ def test_the_user_at_the_terminal_can_answer_a_credential_plugin(stand: FakeKube
 
 
 def test_an_answer_that_the_plugin_rejects_is_reported(stand: FakeKubectl) -> None:
-    with_plugin(stand, ASKS)
+    stand.begin_with(ASKS)
     ours, its = os.openpty()
     with started(its) as running:
         read_until(running, b"Token: ")
@@ -136,7 +128,7 @@ def test_an_answer_that_the_plugin_rejects_is_reported(stand: FakeKubectl) -> No
 
 
 def test_instructions_of_a_waiting_plugin_are_shown(stand: FakeKubectl) -> None:
-    with_plugin(stand, WAITS)
+    stand.begin_with(WAITS)
     with started(subprocess.DEVNULL) as running:
         assert read_until(running, b"ABC\n") == b"To sign in, enter the code ABC\n"
         Path(stand.folder, "settings.json.entered").touch()
@@ -148,7 +140,7 @@ def test_instructions_of_a_waiting_plugin_are_shown(stand: FakeKubectl) -> None:
 def test_a_plugin_does_not_ask_without_a_terminal(
     stand: FakeKubectl, monkeypatch: pytest.MonkeyPatch, place: str
 ) -> None:
-    with_plugin(stand, ASKS)
+    stand.begin_with(ASKS)
     monkeypatch.setattr(sys.stdin, "isatty", lambda: place != "a script", raising=False)
     if place != "a script":
         monkeypatch.setenv("_ARGCOMPLETE", "2")
@@ -160,7 +152,7 @@ def test_a_plugin_does_not_ask_without_a_terminal(
 
 
 def test_a_plugin_does_not_ask_without_standard_input(stand: FakeKubectl, monkeypatch: pytest.MonkeyPatch) -> None:
-    with_plugin(stand, ASKS)
+    stand.begin_with(ASKS)
     monkeypatch.setattr(sys, "stdin", None)  # as Python has it after `<&-`
     with pytest.raises(CommandError, match="not a terminal: log in with the kubeconfig's credential plugin"):
         Kubectl(argparse.Namespace(namespace="fleet", context=None, kubeconfig=None)).get("pods")
