@@ -15,10 +15,10 @@ _FAULTS: dict[str, tuple[str, Callable[[Provider, str], None]]] = {
     "down": ("cut its power", lambda provider, node: provider.node_down(node)),
     "up": ("switch it on again, thaw it, put its cable back", lambda provider, node: provider.node_up(node)),
     "freeze": ("stop all its processes", lambda provider, node: provider.node_freeze(node, True)),
-    "thaw": ("let its processes go on", lambda provider, node: provider.node_freeze(node, False)),
+    "thaw": ("let its processes continue", lambda provider, node: provider.node_freeze(node, False)),
     "cut": ("pull its network cable", lambda provider, node: provider.node_link(node, False)),
     "stop-runtime": (
-        "end its kubelet and container runtime; its containers live on",
+        "end its kubelet and container runtime; its containers keep running",
         lambda provider, node: provider.node_runtime(node, False),
     ),
     "start-runtime": ("start them again", lambda provider, node: provider.node_runtime(node, True)),
@@ -59,12 +59,12 @@ def add_selection(parser: argparse.ArgumentParser) -> None:
         choices=["kind", "local", "current"],
         default=os.environ.get("UNDERSTUDY_CLUSTER_PROVIDER") or None,
         help="kind: in Docker; local: from source on this machine, as root; current: the one that KUBECONFIG names "
-        "(default: UNDERSTUDY_CLUSTER_PROVIDER, or kind where Docker and kind work, else local)",
+        "(default: UNDERSTUDY_CLUSTER_PROVIDER, or kind if Docker and kind work, else local)",
     )
     parser.add_argument(
         "--name",
         default=os.environ.get("UNDERSTUDY_CLUSTER_NAME") or None,
-        help="of the cluster (default: UNDERSTUDY_CLUSTER_NAME, or understudy)",
+        help="name of the cluster (default: UNDERSTUDY_CLUSTER_NAME, or understudy)",
     )
 
 
@@ -76,22 +76,22 @@ def parser() -> argparse.ArgumentParser:
         prog="scripts/cluster", description="A real Kubernetes cluster for trying and testing."
     )
     commands = top.add_subparsers(dest="command", required=True)
-    commands.add_parser("up", parents=[common], help="make the cluster, or what is missing of it")
-    commands.add_parser("down", parents=[common], help="remove all that up made")
-    commands.add_parser("status", parents=[common], help="how it is; exit code 0 when it can be used")
-    load = commands.add_parser("load-image", parents=[common], help="bring images to every node")
+    commands.add_parser("up", parents=[common], help="make the cluster, or the missing parts of it")
+    commands.add_parser("down", parents=[common], help="remove everything that up made")
+    commands.add_parser(
+        "status", parents=[common], help="print the state of the cluster; exit code 0 if it can be used"
+    )
+    load = commands.add_parser("load-image", parents=[common], help="load images into every node")
     load.add_argument("image", nargs="+", help="an archive, or the name of an image that was built here")
     commands.add_parser("kubeconfig", parents=[common], help="print the path of the kubeconfig")
     node = commands.add_parser(
         "node",
         parents=[common],
-        help="a fault of a node: " + "; ".join(f"{name}: {text}" for name, (text, _) in _FAULTS.items()),
+        help="cause or end a fault of a node: " + "; ".join(f"{name}: {text}" for name, (text, _) in _FAULTS.items()),
     )
     node.add_argument("action", choices=list(_FAULTS))
     node.add_argument("node")
-    api = commands.add_parser(
-        "api", parents=[common], help="stop: end the API server, everything else goes on; start: start it again"
-    )
+    api = commands.add_parser("api", parents=[common], help="stop: end only the API server; start: start it again")
     api.add_argument("action", choices=list(_API))
     return top
 

@@ -74,16 +74,16 @@ def main(arguments: list[str] | None = None) -> int:
         prog="scripts/images", description="Builds the images whose inputs changed, and loads them into a cluster."
     )
     here = ", ".join(image.short for image in images())
-    parser.add_argument("image", nargs="*", help=f"which ({here}); all when none is named")
+    parser.add_argument("image", nargs="*", help=f"images to build ({here}); default: all")
     parser.add_argument("--load", action="store_true", help="load them into the cluster")
     parser.add_argument("--force", action="store_true", help="build even if nothing has changed")
     parser.add_argument(
-        "--engine", choices=["buildah", "docker"], help="the builder; Docker where it works, else buildah"
+        "--engine", choices=["buildah", "docker"], help="the builder; default: Docker if it works, else buildah"
     )
     parser.add_argument(
         "--commit",
         metavar="COMMIT",
-        help="build them as they were at a commit; their tag is the first twelve digits of its hash then, instead of dev",
+        help="build the images from this commit; their tag is the first twelve digits of its hash instead of dev",
     )
     from testcluster import cli
 

@@ -114,7 +114,7 @@ def images(source: Source = PRESENT) -> list[Image]:
                 dockerfile.parent,
                 None,
                 (".",),
-                # Stages of which only the result is copied.
+                # Only the result of these stages is copied.
                 tuple(re.findall(r"^FROM \S+ AS (\S+)", dockerfile.read_text(), re.MULTILINE)),
                 parent=_name(parent[1], source) if parent else None,
             )

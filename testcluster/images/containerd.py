@@ -33,7 +33,7 @@ def load(ctr: Sequence[str | Path], wanted: Sequence[Reference]) -> list[Referen
             try:
                 _import(ctr, missing, run(*ctr, *_NAMESPACE, "content", "list", "--quiet").split())
             except CommandFailed:
-                # Parts that were listed may have been garbage that was collected since, for example after a start.
+                # The garbage collection may have removed listed parts, for example after a start.
                 _import(ctr, missing, [])
     return missing
 

@@ -177,5 +177,5 @@ def remove_host_link(layout: Layout) -> None:
         try:
             run("ip", "link", "del", layout.host_link)
         except CommandFailed:
-            # The namespace of its other end may be ending now, and then removes the link.
+            # If the namespace of its other end is ending now, the kernel removes the link.
             time.sleep(0.1)

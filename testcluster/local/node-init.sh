@@ -1,6 +1,6 @@
 #!/bin/bash
-# The first process of a node: in its own network, mount, host name and process-id namespaces it makes the mounts of a machine of its own
-# and starts the node's programs. When it is killed the kernel kills every process of the node, as a loss of power would.
+# The first process of a node. It has its own network, mount, host name and process-id namespaces, makes the mounts of a separate
+# machine, and starts the node's programs. If it is killed, the kernel kills every process of the node, like a loss of power.
 #
 # usage: node-init.sh NODE STATE CACHE API_READY HYPERKUBE NETPOL_KUBECONFIG NETPOL_PROCESSORS
 set -u
@@ -8,7 +8,7 @@ node=$1 state=$2 cache=$3 api_ready=$4 hyperkube=$5 netpol_kubeconfig=$6 netpol_
 log=$state/log
 
 # Sockets, pod logs and plugin folders have fixed paths, so each node needs its own /run, /var/log and /var/lib. The machine's own mounts
-# below /run (other runtimes' network namespaces) are let go of here, or this node would keep them alive.
+# below /run (other runtimes' network namespaces) are unmounted here, or this node would keep them alive.
 mount --make-rprivate /
 umount --recursive --lazy /run 2>/dev/null
 mount -t tmpfs -o mode=755 node /run
@@ -25,10 +25,10 @@ mkdir -p /var/log/pods /var/log/containers /var/lib/cni /var/lib/kubelet
 mount --bind "$state/kubelet" /var/lib/kubelet
 hostname "$node"
 mount --bind "$state/etc/hosts" /etc/hosts
-# Volumes that containers mount have to be seen by the kubelet and the other way round.
+# The kubelet must see volumes that containers mount, and containers those that the kubelet mounts.
 mount --make-rshared /
 
-# Runs a program again whenever it ends, as a machine's service manager does; while there is a file of its name in `stopped`, not.
+# Runs a program again whenever it ends, as a service manager does, but not while a file of its name is in `stopped`.
 keep() {
     local name=$1
     shift
@@ -42,16 +42,16 @@ keep() {
 
 keep containerd containerd --config "$state/etc/containerd.toml"
 until ctr version >/dev/null 2>&1; do sleep 0.1; done
-# The kubelet doubles its pauses between attempts to register, so it is better not to begin too early.
+# The kubelet doubles its pauses between attempts to register, so it should not start too early.
 until [ -e "$api_ready" ] && [ -e /sys/class/net/eth0 ]; do sleep 0.1; done
 keep kubelet "$hyperkube" kubelet --config="$state/etc/kubelet.yaml" --kubeconfig="$state/etc/kubelet.conf" \
     --hostname-override="$node" --node-ip="$(<"$state/etc/ip")"
 keep kube-proxy "$hyperkube" kube-proxy --config="$state/etc/kube-proxy.yaml"
-# A link that is exchanged when the enforcer is built again, so that a running node gets the new one.
-# Its share of the processors is apart from this node's, where the machine has a group for that.
+# The program is a link, which is replaced when the enforcer is built again, so that a running node gets the new build.
+# If the machine has a cgroup for that, the enforcer's share of the processors is separate from this node's.
 keep netpol bash -c '[ -z "$0" ] || echo $$ >"$0/cgroup.procs"; exec "$@"' "$netpol_processors" \
     "$state/etc/understudy-netpol" --kubeconfig "$netpol_kubeconfig" --node "$node"
 
 trap 'exit 0' TERM
-# Orphans are handed to this process; waiting for them keeps them from staying as zombies.
+# Orphans become children of this process, which must wait for them, or they would stay as zombies.
 while :; do wait -n || sleep 1; done

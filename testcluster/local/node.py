@@ -112,12 +112,12 @@ clusterDNS: [{layout.dns_ip}]
 clusterDomain: cluster.local
 resolvConf: {layout.node_state(node)}/etc/resolv.conf
 containerRuntimeEndpoint: unix:///run/containerd/containerd.sock
-# A lost node is noticed after seconds, so it has to say more often that it lives.
+# A node counts as lost after a few seconds, so it must send heartbeats more often.
 nodeStatusUpdateFrequency: 2s
 nodeLeaseDurationSeconds: 4
 syncFrequency: 10s
 serializeImagePulls: false
-# Images are loaded by hand and could not be pulled again: never remove one.
+# Images are loaded by scripts/images and could not be pulled again: never remove one.
 imageGCHighThresholdPercent: 100
 evictionHard: {{nodefs.available: "1%", imagefs.available: "1%", memory.available: 100Mi}}
 makeIPTablesUtilChains: false

@@ -17,7 +17,7 @@ from testcluster.shell import CommandFailed, run, succeeds
 
 _NETWORK = "kind"
 
-# The times for the loss of a node are those of the local provider; its control plane says what upstream's are.
+# The times for the loss of a node are those of the local provider; see its control plane for upstream's times.
 _CONFIGURATION = """kind: Cluster
 apiVersion: kind.x-k8s.io/v1alpha4
 nodes:

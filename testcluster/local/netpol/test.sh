@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Tests the enforcer: `go vet`, then the policies' meaning against the pure model, then packets in network namespaces (as root; they are
-# skipped, with a line that says so, where no namespace can be made). About 40 s; arguments go to `go test`, such as -v or -run NAME.
+# Tests the enforcer: `go vet`, then the meaning of policies with the pure model, then packets in network namespaces (as root; skipped
+# with a message if no namespace can be made). Takes about 40 s. Arguments go to `go test`, such as -v or -run NAME.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")"
 # nft, ip and unshare are not on the path of every user; Go may have been installed by scripts/cluster.

@@ -19,17 +19,17 @@ import (
 //go:embed cases.yaml
 var source []byte
 
-// Outside is the name of the host that is no pod.
+// Outside is the name of the host that is neither a pod nor a node.
 const Outside = "outside"
 
-// Table is the whole of it.
+// Table is the content of cases.yaml.
 type Table struct {
 	Namespaces map[string]map[string]string `json:"namespaces"`
 	Pods       []Pod                        `json:"pods"`
 	Cases      []Case                       `json:"cases"`
 }
 
-// Pod is one that takes part in every case.
+// Pod is a pod that exists in every case.
 type Pod struct {
 	Name      string            `json:"name"`
 	Namespace string            `json:"namespace"`
@@ -38,14 +38,14 @@ type Pod struct {
 	Ports     []Port            `json:"ports"`
 }
 
-// Port is a named one.
+// Port is a named port.
 type Port struct {
 	Name     string          `json:"name"`
 	Port     int32           `json:"port"`
 	Protocol corev1.Protocol `json:"protocol"`
 }
 
-// Case is some policies and what they allow and deny.
+// Case is a list of policies, with the flows that they allow and deny.
 type Case struct {
 	Name     string            `json:"name"`
 	Policies []json.RawMessage `json:"policies"`
@@ -121,7 +121,7 @@ func (c Case) Objects(address func(pod string) string) ([]*networkingv1.NetworkP
 
 var token = regexp.MustCompile(`\$\{[a-z:-]+\}`)
 
-// Object returns the pod as the API would have it.
+// Object returns the pod as an object of the API.
 func (p Pod) Object(node string, addresses ...string) *corev1.Pod {
 	object := &corev1.Pod{
 		ObjectMeta: metav1.ObjectMeta{Name: p.Name, Namespace: p.Namespace, Labels: p.Labels},
@@ -142,7 +142,7 @@ func (p Pod) Object(node string, addresses ...string) *corev1.Pod {
 	return object
 }
 
-// NamespaceObjects returns the namespaces as the API would have them.
+// NamespaceObjects returns the namespaces as objects of the API.
 func (t *Table) NamespaceObjects() []*corev1.Namespace {
 	var list []*corev1.Namespace
 	for name, labels := range t.Namespaces {

@@ -70,7 +70,7 @@ func (w *world) open(t *testing.T, protocol, from, to string, told netip.Addr) *
 	return f
 }
 
-// expect sends in both directions and says what should become of it.
+// expect sends in both directions, and checks whether the messages arrive.
 func (f *flow) expect(when string, want bool) {
 	f.t.Helper()
 	forth, back := make(chan bool), make(chan bool)
@@ -172,7 +172,7 @@ var changes = map[string][2]func(*testing.T, *world){
 	},
 }
 
-// TestEstablishedFlowsAreCut is what distinguishes this enforcer from those that look at new connections only.
+// TestEstablishedFlowsAreCut checks what enforcers that judge only new connections cannot do.
 func TestEstablishedFlowsAreCut(t *testing.T) {
 	w := newWorld(t)
 	w.enforce(t)

@@ -57,7 +57,7 @@ func (w *world) heardFrom(t *testing.T, receiver, sender string, after time.Time
 }
 
 // TestTheGateUnderFire flips a gate between two senders that both never stop, with 60 more pods and 20 more workloads on
-// the node, and judges from what the receiver got.
+// the node, and judges by the messages that the receiver got.
 func TestTheGateUnderFire(t *testing.T) {
 	w := newWorld(t)
 	w.crowd(t, 60)
@@ -74,7 +74,7 @@ func TestTheGateUnderFire(t *testing.T) {
 	}
 }
 
-// turn is one flip: from when on its gate was asked for, when it was in force, and when the next one was asked for.
+// turn is one flip: when its gate was requested, when it was in force, and when the next gate was requested.
 type turn struct {
 	to                string
 	asked, committed  time.Time

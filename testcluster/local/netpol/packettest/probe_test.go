@@ -131,8 +131,8 @@ func (l *listeners) hearSCTP(conn *net.IPConn) {
 	}
 }
 
-// patience is how long to wait for what should not come, or for what should: the latter may take long on a busy machine, and
-// costs nothing when it comes.
+// patience is how long to wait for an answer that should not come, or for one that should. The latter may take long on a
+// busy machine, but the wait ends when it comes.
 func patience(want bool) time.Duration {
 	if want {
 		return 3 * time.Second
@@ -140,7 +140,7 @@ func patience(want bool) time.Duration {
 	return 150 * time.Millisecond
 }
 
-// reaches tells whether a request arrived and its answer came back. A request that arrives without its answer coming back,
+// reaches reports whether a request arrived and its answer came back. A request that arrives without its answer coming back,
 // or the other way round, is an error of its own.
 func (w *world) reaches(f conformance.Flow, family int, want bool) (bool, error) {
 	from, to := w.hosts[f.From], w.hosts[f.To]

@@ -98,7 +98,7 @@ func TestARestartTouchesNothing(t *testing.T) {
 }
 
 // TestAReplacedTableLeaksNothing does the same with a table that cannot be adapted, so that it is written again each time.
-// Of the allowed packets one that is being judged at that very moment may be lost.
+// An allowed packet may be lost if it is judged at that very moment.
 func TestAReplacedTableLeaksNothing(t *testing.T) {
 	tampered := false
 	passed, sent := restartUnderFire(t, func(n *node, changes nft.Changes) {
@@ -113,7 +113,7 @@ func TestAReplacedTableLeaksNothing(t *testing.T) {
 	}
 }
 
-// restartUnderFire returns how many allowed packets arrived and how many were sent; not one of the denied may.
+// restartUnderFire returns how many allowed packets arrived and how many were sent; no denied packet may arrive.
 func restartUnderFire(t *testing.T, each func(*node, nft.Changes)) (passed, sent int) {
 	t.Helper()
 	w := newWorld(t)

@@ -10,7 +10,7 @@ import (
 	"understudy/testcluster/understudy-netpol/conformance"
 )
 
-// TestConformance holds the table against packets.
+// TestConformance compares the table with real packets.
 func TestConformance(t *testing.T) {
 	w := newWorld(t)
 	w.enforce(t)

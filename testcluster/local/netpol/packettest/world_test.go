@@ -42,7 +42,7 @@ func TestMain(m *testing.M) {
 	m.Run()
 }
 
-// world is what the tests live in.
+// world has the network namespaces, nodes and API of a test.
 type world struct {
 	table  *conformance.Table
 	lan    *namespace
@@ -64,7 +64,7 @@ type node struct {
 	grown   chan struct{}
 }
 
-// host is one that can send and answer.
+// host is a pod, or the host outside. It can send and answer.
 type host struct {
 	name string
 	*namespace
@@ -250,7 +250,7 @@ func (w *world) setPolicy(t testing.TB, object *networkingv1.NetworkPolicy) (com
 	return commits
 }
 
-// setPolicies makes these, and only these, the policies there are.
+// setPolicies makes these the only policies.
 func (w *world) setPolicies(t testing.TB, objects []*networkingv1.NetworkPolicy) {
 	t.Helper()
 	wanted := map[string]bool{}

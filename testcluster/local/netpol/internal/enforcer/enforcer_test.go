@@ -43,7 +43,7 @@ func TestParseSandbox(t *testing.T) {
 	}
 }
 
-// TestSandboxesArePolledWhereTheyCannotBeWatched runs the way that is taken when the machine has no inotify instance left.
+// TestSandboxesArePolledWhereTheyCannotBeWatched checks polling, which is used if the machine has no inotify instance left.
 func TestSandboxesArePolledWhereTheyCannotBeWatched(t *testing.T) {
 	q := newQueue()
 	s := &sandboxes{t.TempDir(), q}
@@ -71,7 +71,7 @@ func expectChange(t *testing.T, q *queue, event string) {
 	}
 }
 
-// TestAListSaysWhatHasGone is about objects that are deleted while the API server cannot be watched.
+// TestAListSaysWhatHasGone deletes objects while the API server cannot be watched.
 func TestAListSaysWhatHasGone(t *testing.T) {
 	q := newQueue()
 	s := podSource(q)

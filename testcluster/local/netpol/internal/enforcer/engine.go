@@ -26,7 +26,7 @@ type Options struct {
 	Netns         *os.File      // nil: the process' own
 }
 
-// Engine applies what the sources bring to the kernel, from one goroutine.
+// Engine applies the changes from the sources to the kernel, in one goroutine.
 type Engine struct {
 	options Options
 	queue   *queue
@@ -65,8 +65,8 @@ func Cleanup(netns *os.File) error {
 	return conn.Commit(nft.Remove(ruleset.Table))
 }
 
-// Run enforces until the context ends. The rules stay when it returns. Until all objects have been listed once nothing is
-// touched: on a node where no enforcer ran before, pods are open until then; rules that an earlier one has left stay.
+// Run enforces until the context ends. The rules stay when it returns. Run changes nothing until all objects have been
+// listed once: rules of an earlier enforcer stay until then, and on a node without an earlier enforcer pods are open.
 func (g *Engine) Run(ctx context.Context, api API) error {
 	conn, err := nft.Open(g.options.Netns)
 	if err != nil {
@@ -87,7 +87,7 @@ func (g *Engine) Run(ctx context.Context, api API) error {
 	reconcile := time.NewTicker(g.options.Reconcile)
 	defer reconcile.Stop()
 	const lastRetry = 5 * time.Second
-	retryIn := time.Duration(0) // at once, then more and more slowly
+	retryIn := time.Duration(0) // at once, then with longer and longer pauses
 	var retry <-chan time.Time
 	for {
 		var err error
@@ -97,7 +97,7 @@ func (g *Engine) Run(ctx context.Context, api API) error {
 		case <-g.queue.ready:
 			g.absorb()
 			if retry != nil || !g.synced() {
-				continue // the retry will take these along
+				continue // the retry includes these changes
 			}
 			err = g.apply()
 		case <-retry:
@@ -114,7 +114,7 @@ func (g *Engine) Run(ctx context.Context, api API) error {
 			retryIn = 0
 			continue
 		}
-		// Whatever the kernel holds now, a full replacement puts it right.
+		// A full replacement is correct whatever the kernel holds now.
 		g.applied, g.failed = nil, true
 		g.report.failure(err)
 		slog.Error("transaction failed, replacing the whole table next", "error", err.Error(), "retryIn", retryIn.String())
@@ -122,11 +122,11 @@ func (g *Engine) Run(ctx context.Context, api API) error {
 	}
 }
 
-// synced tells whether all objects have been listed once, and all of them are in the index: rules made from a part of them
+// synced reports whether all objects have been listed once, and all of them are in the index: rules made from a part of them
 // could open what is closed.
 func (g *Engine) synced() bool { return g.listed == len(g.sources) }
 
-// absorb brings what is waiting into the index.
+// absorb applies the waiting changes to the index.
 func (g *Engine) absorb() {
 	for _, change := range g.queue.take() {
 		if change.cause.Event == synced {
@@ -136,15 +136,15 @@ func (g *Engine) absorb() {
 		for _, problem := range problems {
 			slog.Error(problem.Error())
 		}
-		// A policy that was written without an effect on the model is reported as well: who waits for its resource version
-		// to be enforced must not wait for ever.
+		// A written policy is reported even if it does not change the model: somebody may wait until its resource version
+		// is enforced.
 		if matters || (change.cause.Kind == "NetworkPolicy" && change.cause.Event != "list") {
 			g.pending = append(g.pending, change)
 		}
 	}
 }
 
-// apply brings the kernel to the model, in one transaction.
+// apply makes the kernel's table match the model, in one transaction.
 func (g *Engine) apply() error {
 	if len(g.pending) == 0 && !g.failed {
 		return nil
@@ -153,7 +153,7 @@ func (g *Engine) apply() error {
 	want := g.render.Render(g.index.Model())
 	have := g.applied
 	if have == nil && !g.failed {
-		// What an earlier run has left is adapted. Without it, or if it cannot be read, the table is written again.
+		// The table of an earlier run is adapted. If there is none, or it cannot be read, the whole table is written.
 		have, _ = g.conn.Dump(ruleset.Table)
 	}
 	batch := nft.Update(ruleset.Table, have, want)
@@ -170,7 +170,7 @@ func (g *Engine) apply() error {
 	return nil
 }
 
-// compare reads the table back and repairs it when someone else has changed it.
+// compare reads the table back, and repairs it if someone else has changed it.
 func (g *Engine) compare() error {
 	found, err := g.conn.Dump(ruleset.Table)
 	if errors.Is(err, nft.ErrChanging) {

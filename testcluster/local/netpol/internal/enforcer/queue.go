@@ -20,14 +20,14 @@ type Cause struct {
 // synced is the event after a kind's first list.
 const synced = "synced"
 
-// change is one thing that happened, and what it does to the index; apply tells whether it matters.
+// change is an event with its effect on the index. apply reports whether it has an effect.
 type change struct {
 	cause    Cause
 	received time.Time
 	apply    func(*policy.Index) (bool, []error)
 }
 
-// queue hands changes over in order. The taker gets all that are waiting, so a burst becomes one transaction, and a single
+// queue passes changes on in order. take returns all waiting changes, so a burst becomes one transaction, and a single
 // change does not wait for others.
 type queue struct {
 	mu      sync.Mutex
@@ -43,7 +43,7 @@ func (q *queue) put(c change) {
 	q.mu.Unlock()
 	select {
 	case q.ready <- struct{}{}:
-	default: // the taker has already been told
+	default: // the taker is already notified
 	}
 }
 

@@ -14,12 +14,12 @@ import (
 	"understudy/testcluster/understudy-netpol/internal/policy"
 )
 
-// Commit tells of one transaction.
+// Commit describes one transaction.
 type Commit struct {
 	Causes    []Cause
 	Changes   nft.Changes
 	Received  time.Time // when the first of the causes was received
-	Started   time.Time // when work on it began; what lies between is waiting for an earlier transaction
+	Started   time.Time // when work on it began; before that it waited for an earlier transaction
 	Built     time.Time // when the transaction was sent to the kernel
 	Committed time.Time // when the kernel had confirmed it: every later packet obeys
 }
@@ -70,12 +70,12 @@ type enforced struct {
 	at      time.Time
 }
 
-// NewReport returns an empty one.
+// NewReport returns an empty report.
 func NewReport() *Report {
 	return &Report{transactions: map[string]int{}, policies: map[policy.Key]enforced{}}
 }
 
-const causesInLog = 20 // of a burst the log names only the first ones
+const causesInLog = 20 // for a burst the log names only the first causes
 
 func (r *Report) commit(c Commit) {
 	if r.Observe != nil {

@@ -19,14 +19,14 @@ import (
 )
 
 // sandboxes watches the directory where libcni keeps the result of every ADD until the DEL (/var/lib/cni/results). A pod's
-// address is there before its first container starts, while status.podIPs follows about a second later; what is not known
-// is dropped, so without this a new pod would be cut off for that second.
+// address is there before its first container starts, and status.podIPs follows about a second later. Packets of unknown
+// addresses are dropped, so without this watch a new pod would be cut off for that second.
 type sandboxes struct {
 	directory string
 	queue     *queue
 }
 
-// cniResult is the part that matters of libcni's cache file (kind cniCacheV1).
+// cniResult holds the needed fields of libcni's cache file (kind cniCacheV1).
 type cniResult struct {
 	IfName  string      `json:"ifName"`
 	CNIArgs [][2]string `json:"cniArgs"`
@@ -37,12 +37,12 @@ type cniResult struct {
 	} `json:"result"`
 }
 
-// start reads what is there and begins to watch.
+// start begins to watch, and reads the files that are there.
 func (s *sandboxes) start(ctx context.Context) error {
 	if err := os.MkdirAll(s.directory, 0o700); err != nil {
 		return fmt.Errorf("directory of CNI results: %w", err)
 	}
-	// The watch first: what comes after the list must not be missed.
+	// The watch first, so that no file that comes after the list is missed.
 	file, watchErr := s.watch()
 	known := map[string]bool{}
 	if err := s.list(known, true); err != nil {
@@ -61,7 +61,7 @@ func (s *sandboxes) start(ctx context.Context) error {
 	return nil
 }
 
-// watch fails where the machine's inotify instances (128 per user, by default) are used up.
+// watch fails if the machine's inotify instances (128 per user, by default) are used up.
 func (s *sandboxes) watch() (*os.File, error) {
 	fd, err := unix.InotifyInit1(unix.IN_CLOEXEC | unix.IN_NONBLOCK)
 	if err != nil {
@@ -83,7 +83,7 @@ func (s *sandboxes) poll(ctx context.Context, known map[string]bool) {
 	}
 }
 
-// list puts what is there, if need be again, and takes back what was known and is not.
+// list reads the files that are new, or all files if again is true, and forgets known files that are gone.
 func (s *sandboxes) list(known map[string]bool, again bool) error {
 	entries, err := os.ReadDir(s.directory)
 	if err != nil {
@@ -168,7 +168,7 @@ func modified(path string, otherwise time.Time) time.Time {
 	return info.ModTime()
 }
 
-// parseSandbox returns false for what is no pod's network: the loopback's result, or a file that is not yet whole.
+// parseSandbox returns false if the file is not a pod's network (the loopback's result) or is not yet complete.
 func parseSandbox(data []byte) (policy.Sandbox, bool) {
 	var result cniResult
 	if json.Unmarshal(data, &result) != nil {

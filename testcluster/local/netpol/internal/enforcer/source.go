@@ -24,13 +24,13 @@ import (
 	"understudy/testcluster/understudy-netpol/internal/policy"
 )
 
-// source brings all objects of one kind into the queue, by a client-go reflector. Nothing lies between the reflector and
-// the queue (an informer's own queue and its distribution to listeners would be two more hand-overs on the measured path),
-// and the reflector's Replace says what vanished while the API server could not be watched.
+// source puts all objects of one kind into the queue, with a client-go reflector. The reflector writes directly to the
+// queue, because an informer's own queue and its listeners would be two more steps on the measured path. The reflector's
+// Replace shows which objects vanished while the API server could not be watched.
 type source struct {
 	kind   string
 	queue  *queue
-	known  map[policy.Key]struct{} // what was put; used by the reflector's goroutine only
+	known  map[policy.Key]struct{} // objects in the queue or taken; used by the reflector's goroutine only
 	set    func(object any) func(*policy.Index) (bool, []error)
 	remove func(key policy.Key) func(*policy.Index) bool
 	listed bool // used by the reflector's goroutine only
@@ -71,12 +71,12 @@ func policySource(q *queue) *source {
 		}}
 }
 
-// API is where the objects come from.
+// API is the source of the objects.
 type API struct {
 	Pods, Namespaces, NetworkPolicies cache.ListerWatcherWithContext
 }
 
-// Connect makes the API of a cluster. It does without client-go's clients, which would bring in all groups of the API.
+// Connect makes the API of a cluster. It does not use client-go's clients, which would import all groups of the API.
 func Connect(config *rest.Config) (API, error) {
 	scheme := runtime.NewScheme()
 	if err := errors.Join(corev1.AddToScheme(scheme), networkingv1.AddToScheme(scheme)); err != nil {
@@ -110,8 +110,8 @@ const (
 	lastWait  = time.Second
 )
 
-// run lists and watches until the context ends. The reflector's own waiting after errors grows to a minute, far too long
-// after a restart of the API server; here it ends at one second.
+// run lists and watches until the context ends. The reflector's own pause after errors grows to a minute, far too long
+// after a restart of the API server; here it grows to one second.
 func (s *source) run(ctx context.Context, from cache.ListerWatcherWithContext, example runtime.Object) {
 	reflector := cache.NewReflectorWithOptions(&patient{from, s}, example, s, cache.ReflectorOptions{Name: s.kind})
 	for wait := firstWait; ctx.Err() == nil; {
@@ -133,7 +133,7 @@ func sleep(ctx context.Context, d time.Duration) {
 	}
 }
 
-// patient tries again by itself where the reflector would start its long waiting.
+// patient tries again by itself in those cases in which the reflector would start its long pauses.
 type patient struct {
 	inner  cache.ListerWatcherWithContext
 	source *source
@@ -158,8 +158,8 @@ func (p *patient) retry(ctx context.Context, verb string, try func() error) erro
 	}
 }
 
-// answered tells an answer, such as that a resource version has expired, which the reflector knows how to deal with, from
-// a server that is away or not yet, or no more, in its senses.
+// answered reports whether the error is an answer that the reflector can handle, such as an expired resource version. It
+// is false if the server is away, starting or ending.
 func answered(err error) bool {
 	var status apierrors.APIStatus
 	return errors.As(err, &status) && !apierrors.IsServiceUnavailable(err) && !apierrors.IsTooManyRequests(err) && !apierrors.IsInternalError(err)
@@ -235,7 +235,7 @@ func (s *source) Replace(list []any, _ string) error {
 		}
 	}
 	if !s.listed {
-		// Through the queue, so that it is known only once all that comes before it has been taken.
+		// Through the queue, so that it takes effect only after all earlier changes have been taken.
 		s.listed = true
 		s.queue.put(change{cause: Cause{Kind: s.kind, Event: synced}, received: received,
 			apply: func(*policy.Index) (bool, []error) { return true, nil }})

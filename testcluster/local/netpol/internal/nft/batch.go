@@ -38,7 +38,7 @@ type message struct {
 // elementBytes bounds one list of elements: the length of a netlink attribute is a 16-bit number.
 const elementBytes = 48 << 10
 
-// Empty tells whether there is nothing to do.
+// Empty reports whether there is nothing to do.
 func (b *Batch) Empty() bool { return len(b.messages) == 0 }
 
 // Replace makes a batch after which the table holds exactly `want`, whatever it held before, or whether it was there.
@@ -71,7 +71,7 @@ func Update(table string, have, want *Ruleset) *Batch {
 	return b
 }
 
-// adaptable tells whether everything that has the same name is of the same type and at the same hook: these cannot be changed.
+// adaptable reports whether everything that has the same name is of the same type and at the same hook: these cannot be changed.
 func (r *Ruleset) adaptable(want *Ruleset) bool {
 	for name, set := range want.Sets {
 		if old := r.Sets[name]; old != nil && old != set && !old.sameType(set) {

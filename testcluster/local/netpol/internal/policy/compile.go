@@ -38,7 +38,7 @@ type PeerID string
 // Block is a range of addresses, both ends included.
 type Block struct{ From, To netip.Addr }
 
-// Contains tells whether the address lies in the block.
+// Contains reports whether the address lies in the block.
 func (b Block) Contains(addr netip.Addr) bool {
 	return b.From.BitLen() == addr.BitLen() && b.From.Compare(addr) <= 0 && addr.Compare(b.To) <= 0
 }
@@ -52,7 +52,7 @@ type Ports struct {
 type compiled struct {
 	key             Key
 	selects         labels.Selector
-	ingress, egress *Rules // nil when the policy does not speak about the direction
+	ingress, egress *Rules // nil if the policy does not restrict the direction
 	peers           map[PeerID]*peerSelector
 	names           map[PortName]bool
 	fingerprint     string
@@ -64,8 +64,8 @@ type peerSelector struct {
 	pods       labels.Selector
 }
 
-// compile never fails: the API server has validated the policy. What is wrong nevertheless allows nothing, and is named in
-// the returned list.
+// compile never fails: the API server has validated the policy. A part that is wrong nevertheless allows nothing, and the
+// returned list names it.
 func compile(object *networkingv1.NetworkPolicy) (*compiled, []error) {
 	c := &compiled{
 		key:   Key{object.Namespace, object.Name},

@@ -9,8 +9,8 @@ import (
 	"k8s.io/apimachinery/pkg/labels"
 )
 
-// Index keeps what is known of the cluster such that one change costs little: a changed pod is held against all selectors,
-// a changed selector against all pods, and nothing else is computed again. It is not for concurrent use.
+// Index keeps the state of the cluster so that one change costs little: a changed pod is compared with all selectors,
+// a changed selector with all pods, and nothing else is computed again. It is not for concurrent use.
 type Index struct {
 	node       string
 	pods       map[Key]*tracked
@@ -132,7 +132,7 @@ func (x *Index) replacePod(key Key, pod *tracked) {
 	}
 }
 
-// addressesOf prefers what the CNI says over what the kubelet has reported, which may be about a sandbox that is gone.
+// addressesOf prefers the CNI's addresses to those that the kubelet has reported, which may belong to an old sandbox.
 func (x *Index) addressesOf(pod *Pod) []netip.Addr {
 	if pod.HostNetwork || pod.Ended {
 		return nil
@@ -151,7 +151,7 @@ func (x *Index) addressesOf(pod *Pod) []netip.Addr {
 	return pod.Reported
 }
 
-// refresh works out whose address this is and puts it into, or takes it out of, all sets.
+// refresh determines the owner of this address, and puts the address into, or takes it out of, all sets.
 func (x *Index) refresh(addr netip.Addr) {
 	owner := x.owner(addr)
 	previous := x.owners[addr]
@@ -182,8 +182,8 @@ func (x *Index) refresh(addr netip.Addr) {
 	}
 }
 
-// owner decides between pods that claim the same address, which happens for a moment when one is reused: a pod of whose
-// sandbox we know has it for certain; else the younger one.
+// owner decides between pods that claim the same address, which happens for a moment when an address is reused. A pod with a
+// known sandbox certainly has it; otherwise the younger pod wins.
 func (x *Index) owner(addr netip.Addr) *tracked {
 	var best *tracked
 	for key := range x.claims[addr] {
@@ -255,8 +255,8 @@ func (x *Index) rematchNamespace(name string) {
 	}
 }
 
-// SetPolicy takes a new or changed policy; false when nothing that matters has changed. The errors name what the policy
-// says that cannot be understood.
+// SetPolicy takes a new or changed policy; false when nothing that matters has changed. The errors name the
+// parts of the policy that cannot be understood.
 func (x *Index) SetPolicy(object *networkingv1.NetworkPolicy) (bool, []error) {
 	policy, problems := compile(object)
 	if old := x.policies[policy.key]; old != nil && old.fingerprint == policy.fingerprint {

@@ -41,13 +41,13 @@ type Flow struct {
 	Port     uint16   // at the destination
 }
 
-// Leaves tells whether this node lets the flow out of its source. A source that is not on this node is not its concern.
+// Leaves reports whether this node lets the flow out of its source. A source that is not on this node is not its concern.
 func (m *Model) Leaves(f Flow) bool {
 	endpoint := m.Endpoints[f.From]
 	return endpoint == nil || f.From == f.To || m.allows(endpoint.Egress, f, f.To)
 }
 
-// Arrives tells whether this node lets the flow in to its destination.
+// Arrives reports whether this node lets the flow in to its destination.
 func (m *Model) Arrives(f Flow) bool {
 	endpoint := m.Endpoints[f.To]
 	return endpoint == nil || f.From == f.To || m.allows(endpoint.Ingress, f, f.From)

@@ -7,7 +7,7 @@
 //   - a pod that is being deleted is still selected, and still a peer, until its object is gone;
 //   - pods on the host's network are neither selected nor peers: their address is the node's;
 //   - a pod can always reach itself;
-//   - what was established before is judged by today's policies: the model knows nothing of established connections.
+//   - the present policies also judge established connections: the model does not know which connections exist.
 package policy
 
 import (
@@ -32,7 +32,7 @@ func compareKeys(a, b Key) int {
 	return strings.Compare(a.Name, b.Name)
 }
 
-// Pod is what matters of a Pod.
+// Pod has the fields of a Pod that matter here.
 type Pod struct {
 	Key
 	UID         string
@@ -139,7 +139,7 @@ func namedPorts(container corev1.Container) []ContainerPort {
 	return list
 }
 
-// same tells whether nothing that matters has changed; a Pod's status is written far more often than that.
+// same reports whether nothing that matters has changed; a Pod's status is written far more often than that.
 func (p *Pod) same(other *Pod) bool {
 	return p.UID == other.UID && p.Node == other.Node && p.HostNetwork == other.HostNetwork && p.Ended == other.Ended &&
 		p.Created.Equal(other.Created) && labels.Equals(p.Labels, other.Labels) &&

@@ -5,7 +5,7 @@ import (
 	"slices"
 )
 
-// Has tells whether the address is in the list.
+// Has reports whether the address is in the list.
 func (a *Addresses) Has(addr netip.Addr) bool {
 	_, found := slices.BinarySearchFunc(a.List, addr, netip.Addr.Compare)
 	return found

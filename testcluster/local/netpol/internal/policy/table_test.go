@@ -13,7 +13,7 @@ import (
 
 var protocols = map[string]policy.Protocol{"icmp": 1, "tcp": policy.TCP, "udp": policy.UDP, "sctp": policy.SCTP}
 
-// TestConformance holds the table against the pure model, with the nodes of source and destination each deciding its part.
+// TestConformance compares the table with the pure model; the nodes of source and destination each decide their part.
 func TestConformance(t *testing.T) {
 	table, err := conformance.Load()
 	if err != nil {

@@ -1,4 +1,4 @@
-// Package ruleset lays a policy model out as nftables chains, sets and maps. It does no input or output.
+// Package ruleset renders a policy model as nftables chains, sets and maps. It does no input or output.
 //
 // Every packet that is forwarded is judged, whatever the state of its connection, and always in the terms of the
 // connection's first packet: who opened it (source of the original tuple), who really answers (source of the reply tuple,
@@ -9,10 +9,9 @@
 //	base chain egress   who opened it is a pod of this node?   -> its policies -> accept, or drop
 //	base chain ingress  who answers is a pod of this node?     -> its policies -> accept, or drop
 //
-// Two base chains, because an accept ends only the chain it is said in. What a pod may do hangs on one element of a map
-// (address -> the chain of its policies), chains never change their content (their name has a digest of it), and
-// selectors are sets of addresses: so the usual change, another selector or another label, touches a few elements and
-// no rule.
+// There are two base chains, because an accept ends only its own chain. One element of a map (address -> the chain of its
+// policies) decides what a pod may do. Chains never change their content (their name has a digest of it), and selectors
+// are sets of addresses. So the usual change, another selector or another label, changes a few elements and no rule.
 package ruleset
 
 import (
@@ -30,7 +29,7 @@ import (
 	"understudy/testcluster/understudy-netpol/internal/policy"
 )
 
-// Table is the name of the one table, of family inet, that all of this lives in.
+// Table is the name of the only table, of family inet, which contains all of this.
 const Table = "understudy_netpol"
 
 // Names of the objects that are always there; those of one family end in 4 or 6.
@@ -46,7 +45,7 @@ type Renderer struct {
 	memory
 }
 
-// memory has what was rendered, by the part of the model it was rendered from.
+// memory has the rendered parts, by the part of the model that they were rendered from.
 type memory struct {
 	peers    map[partOf[*policy.Addresses]]*nft.Set
 	names    map[partOf[*policy.Targets]]*nft.Set
@@ -83,14 +82,14 @@ func newMemory() memory {
 	return memory{map[partOf[*policy.Addresses]]*nft.Set{}, map[partOf[*policy.Targets]]*nft.Set{}, map[profileKey]profile{}, map[partOf[*policy.Rules]]*policyChains{}}
 }
 
-// NewRenderer takes the prefix of the names of the interfaces that pods are behind. What passes such an interface without
-// being from or to a known pod is dropped: a pod that has just got its network, or one whose object was deleted by force
-// while its processes live on. With an empty prefix such packets pass.
+// NewRenderer takes the prefix of the names of pods' interfaces. A packet that passes such an interface, but is neither
+// from nor to a known pod, is dropped: its pod has just got its network, or its object was deleted by force while its
+// processes still run. With an empty prefix such packets pass.
 func NewRenderer(podInterfaces string) *Renderer {
 	return &Renderer{podInterfaces: podInterfaces}
 }
 
-// Render lays the model out. The ruleset shares unchanged parts with the one rendered before.
+// Render renders the model. The ruleset shares unchanged parts with the ruleset that was rendered before.
 func (r *Renderer) Render(model *policy.Model) *nft.Ruleset {
 	p := &pass{podInterfaces: r.podInterfaces, model: model, out: nft.NewRuleset(), before: r.memory, memory: newMemory()}
 	p.base()
@@ -139,7 +138,7 @@ type pass struct {
 	memory
 }
 
-// recall returns what was made of this part before, or makes it.
+// recall returns the earlier result for this part, or makes it.
 func recall[K comparable, V any](before, now map[K]V, key K, make func() V) V {
 	if made, is := now[key]; is {
 		return made
@@ -158,7 +157,7 @@ func rule(comment string, exprs ...[]nft.Expr) nft.Rule {
 
 func e(exprs ...nft.Expr) []nft.Expr { return exprs }
 
-// base writes what does not depend on the model.
+// base writes the parts that do not depend on the model.
 func (p *pass) base() {
 	for i, side := range sides {
 		chain := &nft.Chain{Hook: &nft.Hook{Number: unix.NF_INET_FORWARD, Priority: side.priority}}
@@ -180,7 +179,7 @@ func (p *pass) base() {
 	}
 	stateless, from, to := &nft.Chain{}, &nft.Chain{}, &nft.Chain{}
 	for _, f := range families {
-		// Without a connection nobody can say who opened it, so an isolated pod has no part in it.
+		// Without a connection the opener is unknown, so such packets never pass to or from an isolated pod.
 		for _, load := range []nft.Expr{nft.PacketSource(f.Family, nft.R0), nft.PacketDestination(f.Family, nft.R0)} {
 			stateless.Rules = append(stateless.Rules, rule("no connection", nft.IsFamily(f.Family),
 				e(load, nft.In(isolatedSet+f.suffix, nft.R0), nft.Counter(), nft.Do(nft.Drop))))
@@ -204,7 +203,7 @@ func (p *pass) family(f family) {
 		maps[i] = &nft.Set{Key: []nft.Type{f.address}, Map: true}
 		p.out.Sets[name] = maps[i]
 		p.out.Chains[name] = &nft.Chain{Rules: []nft.Rule{
-			// An address that is missing here falls through to the drop: should ever a map and a set disagree, nothing leaks.
+			// An address that is missing here falls through to the drop, so that nothing leaks if a map and a set ever disagree.
 			rule("", e(nft.CtSource(f.Family, side.subject, nft.R0), nft.Dispatch(name, nft.R0))),
 			rule("itself", e(nft.CtSource(f.Family, nft.Original, nft.R0), nft.CtSource(f.Family, nft.Reply, f.second),
 				nft.In(selfSet+f.suffix, nft.R0), nft.Do(nft.Accept))),
@@ -272,7 +271,7 @@ func policyName(f family, side side, rules *policy.Rules) string {
 	return fmt.Sprintf("%s%s_%s", side.name, f.suffix, rules.ID)
 }
 
-// policy puts a policy's chains into the ruleset, and the sets they name.
+// policy puts a policy's chains, and the sets that they name, into the ruleset.
 func (p *pass) policy(f family, side side, rules *policy.Rules) {
 	made := recall(p.before.policies, p.policies, partOf[*policy.Rules]{rules, f.Family}, func() *policyChains {
 		return makePolicy(f, side, rules)
