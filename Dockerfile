@@ -1,16 +1,16 @@
 # Understudy's own images, three targets of one file:
 #   operator  the operator and the command line, without ROS
 #   monitor   the same with ROS 2 Jazzy from PyPI: monitor, agent and the managed discovery server
-#   tracker   the monitor's with OpenCV, which only who supervises robots by a camera needs
+#   tracker   the monitor's image with OpenCV, needed only to supervise robots by a camera
 #
-# What changes rarely (the system, the dependencies) comes in layers of its own, so that a change of the code makes one small layer anew.
-# pip's settings for a network (an index, a certificate) can be given as the secrets `pip` and `ca`; they leave nothing in the image.
+# The system and the dependencies change rarely, so they have their own layers: a change of the code rebuilds one small layer.
+# pip's settings for a network (an index, a certificate) can be given as the secrets `pip` and `ca`; they do not become part of the image.
 ARG BASE_IMAGE=python:3.12-slim
 
 FROM ${BASE_IMAGE} AS base
 # A user without rights and without a home; ROS writes its log below HOME.
-# The standard library is compiled here, since official images of Python have no bytecode of it, and where it runs, with a root that is
-# read-only, none can be kept: each start of a process would compile what it imports.
+# The standard library is compiled here, because official images of Python contain no bytecode of it. In the cluster the root is
+# read-only, so bytecode could not be stored, and each process would compile its imports when it starts.
 RUN groupadd --gid 65532 understudy && \
     useradd --uid 65532 --gid 65532 --no-create-home --home-dir /tmp --shell /usr/sbin/nologin understudy && \
     python3 -m venv /opt/understudy && \
@@ -23,7 +23,7 @@ ENV HOME=/tmp \
     PIP_NO_CACHE_DIR=1 \
     PYTHONUNBUFFERED=1
 
-# The lists of requirements only, so that other changes of pyproject.toml do not install everything anew.
+# Only the lists of requirements, so that other changes of pyproject.toml do not install everything again.
 FROM base AS requirements
 COPY pyproject.toml constraints.txt docker/requirements.py /requirements/
 RUN cd /requirements && \

@@ -1,33 +1,33 @@
-# Shared by the scripts in this folder: source it from bash. Everything that is made goes to the cache, nothing into the repository.
+# Shared by the scripts in this folder: source it from bash. The scripts write everything to the cache and nothing to the repository.
 # shellcheck shell=bash
 
 REPOSITORY=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 CACHE=${XDG_CACHE_HOME:-$HOME/.cache}/understudy
 mkdir -p "$CACHE/log"
 
-# kubectl and helm, where the machine has none of its own or an older one.
+# kubectl and helm, if the machine has none or older ones.
 export PATH=$CACHE/tools:$PATH
-# The package is used from here and never installed: an environment is shared by all clones that need the same packages.
+# The package is imported from the clone and never installed, because clones that need the same packages share one environment.
 export PYTHONPATH=$REPOSITORY/operator${PYTHONPATH:+:$PYTHONPATH}
 export PYTHONDONTWRITEBYTECODE=1
-# The ROS wheels set these once per process tree; a child with another environment would load the wrong libraries.
+# The ROS wheels set these once per process tree; a child process with another environment would load the wrong libraries.
 unset _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
 export RMW_IMPLEMENTATION=rmw_fastrtps_cpp
 
 _started=$(date +%s)
 
-# say TEXT: a line for people, with the seconds since the start.
+# say TEXT: prints a line for people, with the seconds since the start.
 say() {
     printf '[%5d s] %s\n' $(($(date +%s) - _started)) "$*"
 }
 
-# fail TEXT: say what is wrong and end.
+# fail TEXT: prints an error and ends with status 1.
 fail() {
     printf '%s: %s\n' "$(basename "$0")" "$*" >&2
     exit 1
 }
 
-# quietly NAME COMMAND...: run a command with its output in a log, which is shown when it fails.
+# quietly NAME COMMAND...: runs a command and writes its output to a log. If the command fails, prints the end of the log.
 quietly() {
     local log=$CACHE/log/$1.log
     shift
@@ -38,7 +38,7 @@ quietly() {
     }
 }
 
-# debian_packages PACKAGE...: install those that are missing.
+# debian_packages PACKAGE...: installs the packages that are missing.
 debian_packages() {
     local missing=() package
     for package in "$@"; do
@@ -55,8 +55,8 @@ debian_packages() {
     quietly apt-install "${root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -q -y --no-install-recommends "${missing[@]}"
 }
 
-# debian_programs PROGRAM=PACKAGE...: install the packages of the programs that are missing. Where there is no apt-get, or nobody to
-# call it, what needs them says so itself.
+# debian_programs PROGRAM=PACKAGE...: installs the packages of the programs that are missing. Does nothing without apt-get or the right
+# to use it: then whatever needs a missing program reports it.
 debian_programs() {
     local missing=() pair
     for pair in "$@"; do
@@ -68,8 +68,8 @@ debian_programs() {
     debian_packages "${missing[@]}"
 }
 
-# rendering_libraries: what images are rendered with where there is no display and no graphics card. Where they can't be installed, what
-# needs them says so itself.
+# rendering_libraries: installs the libraries that render images without a display and a graphics card. Does nothing without apt-get or
+# the right to use it: then whatever needs a missing library reports it.
 rendering_libraries() {
     command -v apt-get >/dev/null || return 0
     [ "$(id -u)" -eq 0 ] || command -v sudo >/dev/null || return 0
@@ -79,7 +79,7 @@ rendering_libraries() {
 # interface_wheels FOLDER: builds the ROS interface packages of the examples into a folder, once.
 interface_wheels() {
     [ -e "$1/.complete" ] && return
-    # Environments with other packages are made with the same wheels.
+    # Environments with other packages use the same wheels, so another run may be building them.
     exec 8>"$1.lock"
     flock 8
     [ -e "$1/.complete" ] && return
@@ -96,7 +96,7 @@ interface_wheels() {
     exec 8>&-
 }
 
-# python_environment: makes, once for each set of packages, the Python environment for development, and sets PYTHON to its interpreter.
+# python_environment: makes the Python environment for development (once for each set of packages), and sets PYTHON to its interpreter.
 python_environment() {
     local base=/usr/bin/python3 wanted folder interfaces
     [ -x "$base" ] || { command -v apt-get >/dev/null && debian_packages python3; }
@@ -104,7 +104,7 @@ python_environment() {
     "$base" -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
         fail "$("$base" --version) is too old: Python 3.11 or newer is needed"
     local requirements=("$base" "$REPOSITORY/docker/requirements.py" "$REPOSITORY/pyproject.toml" ros dev)
-    # The examples' interfaces depend on the versions they are built against, and the environment on both.
+    # The examples' interfaces depend on the versions that they are built against; the environment depends on both.
     wanted=$(cd "$REPOSITORY/examples/navigation/interfaces" && find . -type f -not -name '*.md' | LC_ALL=C sort |
         xargs sha256sum | cat - "$REPOSITORY/constraints.txt" <("$base" --version) | sha256sum | cut -c 1-12)
     interfaces=$CACHE/interfaces-$wanted
@@ -114,7 +114,7 @@ python_environment() {
     export PYTHON
     [ -e "$folder/.complete" ] && return
     "$base" -c 'import ensurepip, venv' 2>/dev/null || debian_packages python3-venv
-    # Another run may be making the same one.
+    # Another run may be making the same environment.
     exec 9>"$folder.lock"
     flock 9
     if [ ! -e "$folder/.complete" ]; then
@@ -131,8 +131,8 @@ python_environment() {
     exec 9>&-
 }
 
-# go_program NAME SOURCE PACKAGE [VARIABLE=VALUE...]: builds a program from the Go module in a folder into $CACHE/tools, unless it was
-# built before. The variables are set for `go build`.
+# go_program NAME SOURCE PACKAGE [VARIABLE=VALUE...]: builds a program from the Go module in the folder SOURCE into $CACHE/tools,
+# unless it was built before. The variables are set for `go build`.
 go_program() {
     (cd "$REPOSITORY" && "$PYTHON" - "$CACHE/tools" "$@") <<'PYTHON'
 import sys
@@ -150,7 +150,7 @@ tools.mkdir(exist_ok=True)
 PYTHON
 }
 
-# helm_program: makes sure that there is a helm from 3.17 on (--take-ownership); `scripts/cluster up` brings one too.
+# helm_program: builds helm if the machine has none from version 3.17 on (--take-ownership). `scripts/cluster up` builds one too.
 helm_program() {
     local found
     found=$(helm version --template '{{.Version}}' 2>/dev/null | sed 's/^v//') || found=
@@ -159,7 +159,7 @@ helm_program() {
     go_program helm testcluster/local/hyperkube helm.sh/helm/v3/cmd/helm
 }
 
-# chart_programs: what tests of the chart and of manifests need beside helm: helm-unittest, and kubeconform with its schemas.
+# chart_programs: builds what tests of the chart and of manifests need besides helm: helm-unittest, and kubeconform with its schemas.
 chart_programs() {
     local source=tests/unit/chart/programs
     go_program helm-unittest "$source" github.com/helm-unittest/helm-unittest/cmd/helm-unittest &&
@@ -167,7 +167,7 @@ chart_programs() {
         (cd "$REPOSITORY" && "$PYTHON" -m tests.support.schemas)
 }
 
-# vale_program: the prose linter. It has parts in C; where the machine's Go is older than Vale needs, Go fetches a newer one.
+# vale_program: builds Vale, the prose linter. It has parts in C. If the machine's Go is too old for Vale, Go fetches a newer one.
 vale_program() {
     debian_programs gcc=gcc g++=g++
     go_program vale scripts/vale github.com/vale-cli/vale/v3/cmd/vale CGO_ENABLED=1 GOTOOLCHAIN=auto

@@ -1,7 +1,7 @@
-"""Builds the documentation as a site, out of the pages as they are in the repository.
+"""Builds the documentation as a site from the unchanged pages of the repository.
 
-They link to each other, to examples and to sources by paths that lead somewhere in the repository too. So they are laid out for
-MkDocs as they are there, together with all that they link to; a link that leads nowhere is an error.
+The pages link to each other, to examples and to sources by paths in the repository. So the pages are copied for MkDocs with the
+same paths, together with all files that they link to. A link to a missing file is an error.
 """
 
 from __future__ import annotations
@@ -25,8 +25,12 @@ CODE = re.compile(r"`[^`]+`")
 def main() -> int:
     """Build or show the site; the exit status is MkDocs's."""
     parser = argparse.ArgumentParser(prog="scripts/site", description=__doc__.partition("\n")[0])
-    parser.add_argument("folder", type=Path, nargs="?", default=REPOSITORY / "build" / "site", help="where it goes")
-    parser.add_argument("--serve", action="store_true", help="show it at http://127.0.0.1:8000 instead, until Ctrl-C")
+    parser.add_argument(
+        "folder", type=Path, nargs="?", default=REPOSITORY / "build" / "site", help="the folder to write the site to"
+    )
+    parser.add_argument(
+        "--serve", action="store_true", help="serve the site at http://127.0.0.1:8000 instead, until Ctrl-C"
+    )
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as pages:
         lay_out(REPOSITORY, Path(pages))
@@ -39,18 +43,18 @@ def main() -> int:
 
 
 def mkdocs(pages: Path, command: list[str]) -> int:
-    """Run it on pages that were laid out; its exit status."""
+    """Run MkDocs on the copied pages, and return its exit status."""
     return subprocess.run(
         [sys.executable, "-m", "mkdocs", *command, "--strict", "--config-file", str(REPOSITORY / "mkdocs.yml")],
-        # Its theme warns of a successor of MkDocs that isn't used here.
+        # The theme warns of a successor of MkDocs, which is not used here.
         env={**os.environ, "PAGES": str(pages), "NO_MKDOCS_2_WARNING": "1"},
     ).returncode
 
 
 def lay_out(repository: Path, folder: Path) -> list[str]:
-    """Copy the first pages and whatever can be reached from them by links, at their paths in the repository; which those are.
+    """Copy the first pages and all files that links lead to from there, at the same paths; return these paths.
 
-    A link to a folder leads to its README.md or, where it has none, to a list of its files that is made here.
+    A link to a folder leads to its README.md. If the folder has none, it leads to a list of its files, which is written here.
     """
     waiting, found = [*START], set[str]()
     while waiting:
@@ -76,7 +80,7 @@ def lay_out(repository: Path, folder: Path) -> list[str]:
 
 
 def _with_pages(base: Path, text: str) -> str:
-    """The text of a page in a folder, with links to pages where it has links to folders."""
+    """Return the text of a page in the folder ``base``, with its links to folders replaced by links to pages."""
 
     def page(link: re.Match[str]) -> str:
         folder = base / link[2]

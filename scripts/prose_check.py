@@ -37,7 +37,7 @@ READ = (
     ),
     *("bench", "examples", "demo", "testcluster"),
 )
-"""What is read if no path is given."""
+"""The files and folders that are read if no path is given."""
 
 _GENERATED = ("charts/understudy/files/crds", "docs/reference")
 """Copies of texts that are checked at their source."""
@@ -128,7 +128,7 @@ def check(paths: Iterable[Path]) -> list[Finding]:
 
 
 def _by_kind(relative: str, path: Path) -> Iterator[tuple[str, list[tuple[int, str]]]]:
-    """What Vale is given for a file: the ending of the file's name, and lines with their numbers in the original."""
+    """Yield the texts of a file for Vale: the ending of a file name, and lines with their numbers in the original."""
     if path.suffix == ".md":
         yield "text.md", list(enumerate(path.read_text().splitlines(), 1))
         return
@@ -136,7 +136,7 @@ def _by_kind(relative: str, path: Path) -> Iterator[tuple[str, list[tuple[int, s
         lines: list[tuple[int, str]] = []
         for text in texts(relative, path):
             if text.kind == kind:
-                # An empty line, so that no sentence runs from one text into the next.
+                # An empty line, so that no sentence continues in the next text.
                 lines += [(number, _CODE.sub("Code", _ROLE.sub("", line)).strip()) for number, line in text.lines]
                 lines.append((text.lines[-1][0], ""))
         if lines:
@@ -144,7 +144,7 @@ def _by_kind(relative: str, path: Path) -> Iterator[tuple[str, list[tuple[int, s
 
 
 def texts(relative: str, path: Path) -> Iterator[Text]:
-    """The English in a file."""
+    """Yield the English texts in a file."""
     if path.suffix == ".py" or _first_line(path).endswith("python3"):
         yield from python_texts(path.read_text())
     elif relative.startswith(("crds/", "charts/understudy/files/")) and path.suffix == ".yaml":
@@ -169,7 +169,7 @@ def _first_line(path: Path) -> str:
 
 
 def _matching(kind: str, source: str, pattern: str) -> Iterator[Text]:
-    """The first group of each line that matches; lines that follow each other are one text."""
+    """Yield the first group of each line that matches; consecutive lines are one text."""
     together: list[tuple[int, str]] = []
     for number, line in enumerate(source.splitlines(), 1):
         found = re.search(pattern, line)
@@ -183,7 +183,7 @@ def _matching(kind: str, source: str, pattern: str) -> Iterator[Text]:
 
 
 def yaml_texts(source: str) -> Iterator[Text]:
-    """Descriptions, summaries and messages in a YAML document: a CustomResourceDefinition, or alerts."""
+    """Yield descriptions, summaries and messages in a YAML document: a CustomResourceDefinition, or alerts."""
 
     def walk(node: yaml.Node) -> Iterator[Text]:
         if isinstance(node, yaml.MappingNode):
@@ -202,7 +202,7 @@ def yaml_texts(source: str) -> Iterator[Text]:
 
 
 def python_texts(source: str) -> Iterator[Text]:
-    """Comments, docstrings (of attributes too) and those string literals that are sentences."""
+    """Yield comments, docstrings (also of attributes) and those string literals that are sentences."""
     yield from _comments(source)
     tree = ast.parse(source)
     seen: set[int] = set()
