@@ -78,17 +78,18 @@ class Resize(Model):
 
 
 class Reschedule(Model):
-    """A planned hand-over to another instance at a moment when the robot is idle."""
+    """A planned switchover to another instance at a moment when the robot is idle."""
 
     after: Duration = "30s"
-    """How long the workload must be degraded before the hand-over."""
+    """How long the workload must be degraded before the switchover."""
     idle_for: Duration = "5s"
-    """How long the robot must be idle without interruption before the hand-over."""
+    """How long the robot must be idle without interruption before the switchover."""
     idle: InlineTree | None = None
     """Additional condition for the robot to count as idle. Without it, the robot is idle if the workload's tasks have
     no active goal. Required if the workload has no tasks."""
     pause: Duration = "10m"
-    """Minimum time between two planned hand-overs. It prevents a series of them if the cause is not the instance."""
+    """Minimum interval between two planned switchovers of a degraded instance. It prevents a series of them if the
+    cause is not the instance."""
 
 
 class Prewarm(Model):
@@ -113,8 +114,8 @@ class Action(Model):
     prewarm: Prewarm | None = None
     """Keep one more standby in a pool while the workload is degraded, so that a recovery would take less time."""
     reschedule: Reschedule | None = None
-    """Planned hand-over: when the robot is idle, the monitor replaces the active instance with the policy's strategies,
-    as after a failure."""
+    """Planned switchover: when the robot is idle, the monitor replaces the active instance with the policy's
+    strategies, as after a failure."""
 
 
 @with_rules(
@@ -143,5 +144,5 @@ class Degraded(Model):
 
     @property
     def reschedule(self) -> Reschedule | None:
-        """The settings of the planned hand-over, or None if there is none."""
+        """The settings of the planned switchover, or None if there is none."""
         return next((one.reschedule for one in self.actions if one.reschedule is not None), None)

@@ -223,7 +223,7 @@ class StormGuard(Model):
     within: Duration = "10s"
     """A workload counts as failing if it failed within this time, even if it has recovered since."""
     hold_for: Duration = "2m"
-    """Maximum time for which a storm suspends recoveries. After it, monitors recover even if the operator has not
+    """Maximum time for which a storm defers recoveries. After it, monitors recover even if the operator has not
     reported the end of the storm."""
 
 
@@ -317,7 +317,8 @@ class FailurePolicySpec(Model):
     recovers the workload."""
     strategies: list[Strategy] = Field(min_length=1, max_length=8)
     """Strategies to try in order. If a strategy is not available, or is not verified within its verifyWithin, the next
-    one is tried. After the last one, the monitor pauses (see priority) and begins with the first again."""
+    one is tried. After the last one, the monitor waits for the retry delay (see priority), and then tries the first one
+    again."""
     requirements: Requirements | None = None
     """Requirements from which Understudy chooses the order for type Auto. If spec.strategies lists the strategies, the
     requirements have no effect except in `understudy recommend`."""
@@ -333,9 +334,9 @@ class FailurePolicySpec(Model):
     limits: Limits = Field(default_factory=Limits)
     """Limits of automatic actions."""
     priority: Literal["Normal", "Safety"] = "Normal"
-    """Normal: limits can delay a recovery. If no strategy was verified, all of them are tried again after a pause,
-    which doubles each time from 2 s to 1 min. Safety: limits never delay a recovery (cooldown has no effect), and the
-    pause is always 2 s."""
+    """Whether recoveries or limits take precedence. Normal: limits can delay a recovery. If no strategy was verified,
+    all of them are tried again after a retry delay, which doubles each time from 2 s to 1 min. Safety: limits never
+    delay a recovery (cooldown has no effect), and the retry delay is always 2 s."""
     safety: Safety | None = None
     """Safe commands: messages that the monitor sends to the robot while no instance controls it."""
     black_box: BlackBox | None = None

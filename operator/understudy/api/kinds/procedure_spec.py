@@ -48,7 +48,9 @@ class Procedure(_Tree):
     osc: Text | None = None
     """The tree as OpenSCENARIO 2 text that imports osc.understudy. See docs/procedures.md."""
     within: Duration = "60s"
-    """Maximum duration. A procedure that takes longer fails. In a recovery, the next strategy is then tried."""
+    """Maximum duration. A procedure that takes longer fails. In a recovery, the next strategy is then tried. On a
+    standby or the first instance, the monitor runs the procedure again after a delay, which doubles each time from 5 s
+    to 1 min, and the condition BroughtUp of the RobotWorkload reports the failure."""
 
 
 class Check(_Tree):

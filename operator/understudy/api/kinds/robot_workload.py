@@ -142,14 +142,15 @@ class Gate(Model):
     """The gate, which decides which instance can reach the robot."""
 
     kind: Literal["NetworkPolicy"] = "NetworkPolicy"
-    """Kind of gate. NetworkPolicy: NetworkPolicies let only one pod send to the ports at which the robot reads the
-    outputs (the gated ports). The cluster's network plugin must enforce them."""
+    """Kind of gate. NetworkPolicy: NetworkPolicies let only the pods for which the gate is open send to the ports at
+    which the robot reads the outputs (the gated ports). The cluster's network plugin must enforce them."""
     robots: list[Cidr] = Field(default_factory=list, max_length=16)
     """CIDRs of the robot and other peers outside the cluster. They must not include pod addresses: pods in these ranges
     could bypass the gate."""
     reflex: Reflex | None = None
-    """Reflex: with DDS exclusive ownership, the robot's own DataReaders switch to a standby of an Executing pool,
-    before the gate does. Absent: only the gate switches. See docs/reflex.md."""
+    """Reflex: the gate is also open for one standby of an Executing pool. With DDS exclusive ownership, the robot's own
+    DataReaders switch to this standby if the active instance fails, before the monitor acts. Absent: the gate is open
+    only for the active instance. See docs/reflex.md."""
 
 
 class MonitorSettings(Model):
@@ -273,8 +274,9 @@ class RobotWorkloadSpec(Model):
     monitor: MonitorSettings = Field(default_factory=MonitorSettings)
     """Settings of the workload's monitor."""
     pause: Pause | None = None
-    """Maintenance mode. While this field is set, the monitor watches the workload and takes no action: no recovery, no
-    hand-over, no safe command (spec.safety of the policy). The gate stays as it is. See docs/limits.md."""
+    """Maintenance mode. While this field is set, the monitor watches the workload and takes no action: it starts no
+    recovery and no planned switchover, and sends no safe command (spec.safety of the policy). A recovery in progress is
+    finished first. Then the gate stays as it is. See docs/limits.md."""
 
 
 class Parts(Model):
@@ -349,14 +351,14 @@ class DependencyRecovery(Model):
 
 
 class Recovery(Model):
-    """A recovery, or a planned change of the active instance."""
+    """A recovery, or a planned switchover (change of the active instance without a failure)."""
 
     id: str
     """Identifies the recovery. The id stays the same if the monitor restarts."""
     number: int = 0
     """Number of this recovery, counted from 1 for each workload."""
     reason: str
-    """What failed, such as a leaf of the health tree or the pod, or why the change was planned."""
+    """What failed, such as a leaf of the health tree or the pod, or why the switchover was planned."""
     result: Literal["Running", "Recovered", "Failed"]
     """Running, Recovered or Failed."""
     strategy: str = ""
@@ -369,7 +371,8 @@ class Recovery(Model):
     """Epoch of the gate (the number of its last commit) after the recovery."""
     recovery_seconds: float | None = None
     """Sum of the four parts: seconds from the last healthy output until the understudy (the instance that took over)
-    could reach the robot."""
+    could reach the robot. The wait for a pod of a shared pool (from moments.queued) is included. The time for which the
+    budget deferred the recovery (from moments.held to moments.released) is not."""
     parts: Parts | None = None
     """The four parts of the recovery time, in seconds."""
     moments: Moments = Field(default_factory=Moments)
@@ -377,9 +380,10 @@ class Recovery(Model):
     attempts: list[Attempt] = Field(default_factory=list)
     """The strategies that were tried, in order."""
     planned: bool = False
-    """True if nothing failed: a hand-over at an idle moment (spec.degraded of the policy), or a planned switchover."""
+    """True for a planned switchover: a user requested it, the node is drained, or the workload is degraded."""
     switchover: Kind | None = None
-    """For a planned switchover: why it was done (Failover, Failback or Drain)."""
+    """For a planned switchover: why it was done. Failover or Failback: a user requested it. Drain: the node is drained.
+    Absent if the workload was degraded."""
     follows: list[DependencyRecovery] | None = Field(default=None, max_length=8)
     """Recoveries of dependencies that caused this one (spec.dependsOn[].onRecovery). Absent if this workload itself
     failed."""
@@ -393,8 +397,9 @@ class GateStatus(Model):
     """State of the gate, which decides which instance can reach the robot."""
 
     epoch: int = 0
-    """Number of the gate's last commit. It increases by one whenever the gate closes or opens for another pod. Commands
-    with an older epoch are refused."""
+    """Number of the gate's last commit. It increases by one whenever the gate closes or opens for another pod. A change
+    that was decided with an older epoch is refused, for example from a monitor that was replaced. ROS messages do not
+    carry the epoch."""
     active: str = ""
     """The pod for which the gate is open. Empty if the gate is closed."""
 
@@ -463,7 +468,7 @@ class RobotWorkloadStatus(Model):
     )
     """For each dependency, its last recovery to which this workload has reacted (spec.dependsOn[].onRecovery)."""
     kept: str | None = None
-    """Summary of the state that is kept of a healthy instance."""
+    """Summary of the kept state of the healthy instance."""
     state: list[KeptStatus] | None = Field(
         default=None, max_length=64, json_schema_extra={"x-kubernetes-list-type": "atomic"}
     )
@@ -477,12 +482,12 @@ class RobotWorkloadStatus(Model):
     DependenciesResolved (if spec.dependsOn is set): the workloads exist, and there is no cycle. DependencyFailed: the
     workload fails, and the monitor waits because a dependency may have caused it. Degraded: the health tree succeeds,
     and the stricter tree of the policy's spec.degraded fails. Resized: the active pod has the resources that the policy
-    sets for a degraded workload. GateEnforced: probe packets show that only the active pod can reach the robot, and the
-    robot reads no output at a port outside the gate. OutputsRead: the robot reads every topic of spec.outputs at gated
-    ports. Recovering: a recovery is in progress. Paused: spec.pause is in effect. WithinBudget (if the policy has
-    limits.budget): the budget allows another recovery. BroughtUp: bringUp and the pools' initializations have succeeded
-    on every instance. Reflex (if spec.gate.reflex is set): the gate also lets a standby through, so the robot's readers
-    would switch to it at a failure. Draining: the active pod's node is being drained, and evictions wait until an
-    instance on another node has taken over. TasksProxied (if spec.tasks is set): the proxy serves all tasks. StateKept:
-    everything in the policy's spec.state is kept. StateRestored: the last instance that took over received all of
-    it."""
+    sets for a degraded workload. GateEnforced: probe packets show that only the pods for which the gate is open (the
+    active pod and, with a reflex, one standby) can reach the robot, and the robot reads no output at a port outside the
+    gate. OutputsRead: the robot reads every topic of spec.outputs at gated ports. Recovering: a recovery is in
+    progress. Paused: spec.pause is in effect. WithinBudget (if the policy has limits.budget): the budget allows another
+    recovery. BroughtUp: bringUp and the pools' initializations have succeeded on every instance. Reflex (if
+    spec.gate.reflex is set): the gate is also open for a standby, so that the robot's DataReaders switch to it if the
+    active instance fails. Draining: the active pod's node is being drained, and evictions wait until an instance on
+    another node has taken over. TasksProxied (if spec.tasks is set): the proxy serves all tasks. StateKept: everything
+    in the policy's spec.state is kept. StateRestored: the last instance that took over received all of it."""

@@ -19,15 +19,15 @@ _IS_POSE = f"self.type in [{', '.join(repr(name) for name in POSE_TYPES)}]"
 
 @with_rules((f"!has(self.type) || {_IS_POSE}", f"the type of the odometry must contain a pose: {_POSES}", ".type"))
 class CarriedBy(Model):
-    """Odometry that brings a kept pose up to date when the pose is restored."""
+    """Odometry that propagates a kept pose when the pose is restored."""
 
     topic: RosName
     """The robot's odometry topic, such as /odom. It must describe the motion of the same frame as the kept pose, such
     as base_link. Its publisher must keep running when the instance fails."""
     type: str = Field(default=ODOMETRY, max_length=256, description=f"Type of the odometry topic: {_POSES}.")
     required: bool = False
-    """True: a pose that cannot be brought up to date is not restored. False: it is restored as it was kept. The
-    condition StateRestored and an Event report either."""
+    """True: a pose that cannot be propagated is not restored. False: it is restored as it was kept. The condition
+    StateRestored and an Event report either."""
 
 
 @with_rules(
@@ -68,8 +68,8 @@ class KeptTopic(Model):
     """The restoration is complete when the new instance publishes on this topic. Absent: it is complete when the
     subscribers of restoreTo have acknowledged the message."""
     carried_by: CarriedBy | None = None
-    """Odometry topic. The robot's motion since the pose was kept is added to the pose when it is restored. Absent: the
-    pose is restored as it was kept."""
+    """Propagates the pose with odometry: when the pose is restored, the robot's motion since it was recorded is added.
+    Absent: the pose is restored as it was kept."""
 
 
 class KeptParameters(Model):
@@ -142,7 +142,7 @@ class RestoredState(Model):
     age_seconds: float | None = None
     """Age at the beginning of the failure, in seconds."""
     carried_metres: float | None = None
-    """Distance between the kept pose and the restored one, from odometry, in metres. Absent if odometry was not
-    used."""
+    """Distance over which the pose was propagated, from the kept pose to the restored one, in metres. Absent if the
+    pose was not propagated."""
     message: str = ""
-    """Why the item was not restored or not brought up to date, or what is uncertain about it."""
+    """Why the item was not restored or not propagated, or what is uncertain about it."""

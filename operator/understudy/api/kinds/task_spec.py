@@ -11,11 +11,11 @@ ACTION_TYPE_PATTERN = r"^[a-zA-Z][a-zA-Z0-9_]*/action/[A-Z][a-zA-Z0-9]*$"
 
 
 class Task(Model):
-    """An action that the workload serves. Clients send their goals to a proxy of the same name. It runs in the
-    monitor's pod, so it continues when an instance fails."""
+    """An action that the workload serves. Clients send their goals to a proxy with the same action name."""
 
     action: RosName
-    """Fully qualified name of an action that the workload serves, such as /navigate_to_pose."""
+    """Fully qualified name of an action that the workload serves, such as /navigate_to_pose. Its proxy runs in a
+    container of the monitor's pod, so the proxy keeps running if an instance fails."""
     type: str = matching(ACTION_TYPE_PATTERN, ROS_TYPE_MESSAGE, max_length=256)
     """Type of the action, such as nav2_msgs/action/NavigateToPose. The monitor's image must contain it."""
     on_failover: Literal["Resend", "Abort", "Tree"] = "Resend"
@@ -23,8 +23,9 @@ class Task(Model):
     new instance. Abort: the goal is aborted. Tree: the goal stays active and is sent to the new instance by the step
     resend_goals of the strategy's recovery procedure, or at the end of the recovery."""
     abort_grace: Duration = "2s"
-    """How long the proxy delays an abort that no client requested, because a failing instance may abort its goals. If a
-    failure is detected in this time, the proxy drops the abort, and the goal continues."""
+    """If the instance aborts a goal, or ends it as canceled although no client requested that, the proxy waits this
+    long before it reports the result to the client, because a failing instance may end its goals. If a failure is
+    detected in this time, the proxy drops the result, and treats the goal as active (onFailover)."""
 
 
 class TaskStatus(Model):
@@ -35,6 +36,6 @@ class TaskStatus(Model):
     active: int = 0
     """Number of active goals."""
     resent: int = 0
-    """Number of goals that were moved to another instance, since the action proxy's pod started."""
+    """Number of goals that were moved to another instance since the monitor's pod started."""
     message: str = ""
     """What is wrong with the task, if anything."""

@@ -103,11 +103,11 @@ KINDS = (
                 "The situation that currently applies, as defined by the policy.",
                 wide=True,
             ),
-            Column("Kept", ".status.kept", "Summary of the state that is kept of a healthy instance.", wide=True),
+            Column("Kept", ".status.kept", "Summary of the kept state of the healthy instance.", wide=True),
             Column(
                 "Taken",
                 ".status.state[0].takenAt",
-                "Age of the first item of kept state (status.state).",
+                "Time since the first item in status.state was recorded.",
                 "date",
                 wide=True,
             ),
