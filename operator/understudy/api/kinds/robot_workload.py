@@ -452,7 +452,8 @@ class RobotWorkloadStatus(Model):
     monitor: MonitorStatus | None = None
     """The monitor that wrote this status. Absent if the monitor is older than 0.2.0."""
     switchover: SwitchoverStatus | None = None
-    """The last planned switchover (change of the active instance without a failure), or the one in progress."""
+    """The last planned switchover that a user requested or a drain caused, or the one in progress. A planned switchover
+    of a degraded instance is only in recoveries."""
     recoveries: list[Recovery] | None = Field(
         default=None, max_length=10, json_schema_extra={"x-kubernetes-list-type": "atomic"}
     )
