@@ -61,15 +61,22 @@ def _robot(recovered: Recovered, handover: Handover, old: str, new: str) -> list
     since = ""
     if routed is not None:
         after = handover.first_new - routed
-        since = f", {length(abs(after))} {'after' if after >= 0 else 'before'} the switch was seen to be done"
-    last = "none ever" if handover.last_old is None else f"last at {_signed(handover.last_old - start)}"
-    gap = "" if handover.gap is None else f"{length(handover.gap)} without commands: "
-    late = f"{len(handover.late)} over {length(handover.overlap)}" if handover.late else "none"
-    early = str(len(handover.early)) if handover.early else "none"
-    return [
-        f"{gap}{old} {last}, {new} first at {_signed(handover.first_new - start)}{since}",
-        f"{late} of {old} after the first of {new}, {early} of {new} before the switch",
-    ]
+        since = f", {length(abs(after))} {'after' if after >= 0 else 'before'} routed"
+    at = f"at {_signed(handover.first_new - start)}{since}"
+    first = (
+        f"the first command of {new} arrived {at}"
+        if handover.gap is None
+        else f"no command for {length(handover.gap)} before the first one of {new} ({at})"
+    )
+    last = "" if handover.last_old is None else f" (the last at {_signed(handover.last_old - start)})"
+    late = f"{_commands(len(handover.late))} of {old} arrived up to {length(handover.overlap)} later"
+    overlap = late if handover.late else f"no command of {old} arrived later"
+    early = _commands(len(handover.early)) if handover.early else "no command"
+    return [first, f"overlap: {overlap}{last}; early: {early} of {new} before the switch"]
+
+
+def _commands(number: int) -> str:
+    return "1 command" if number == 1 else f"{number} commands"
 
 
 def _signed(seconds: float) -> str:

@@ -126,7 +126,7 @@ def test_requirements_decide_which_standbys_are_kept(fleet: Fleet, operator: Ope
     until(lambda: fleet.pods(f"{names.WORKLOAD}=w,{names.POOL}=hot"), "a standby")
     said = fleet.wait_condition("RobotWorkload", "w", "StrategiesChosen", "Chosen", "True")
     assert said["message"].startswith(
-        "Executing (hot), Uninitialized (spare), Restart. Required: a recovery within 500 ms"
+        "Chosen order: 1. Executing (hot), 2. Uninitialized (spare), 3. Restart. Required: a recovery within 500 ms"
     )
     assert chosen(fleet) == ["hot", "spare", "Restart"]
     assert fleet.get("FailurePolicy", "policy")["status"]["strategies"] == "Auto"

@@ -127,7 +127,7 @@ def test_a_pool_s_size_follows_the_failures_that_its_robots_status_tells_of(
     fleet.cluster.patch(fleet.get("RobotWorkload", "w"), {"status": failed}, subresource="status")
     until(lambda: len(fleet.held()) == 5, "as many as there may be")
     found = fleet.wait_condition("FallbackPool", "spare", "Sized", "AtMaximum")
-    assert "asked for a pod 10 times" in found["message"]
+    assert "requested a pod 10 times" in found["message"]
     assert "spec.sizing.max is 5" in found["message"]
     told = until(lambda: fleet.told("spare", "Resized"), "an Event, which comes after the status")
     assert [event["message"].partition(":")[0] for event in told] == ["from 3 to 5 pods"]

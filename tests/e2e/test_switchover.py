@@ -128,7 +128,7 @@ def test_a_switchover_without_an_understudy_is_refused_with_the_reason(restartin
     done = understudy(restarting.kubectl, "failover", restarting.workload)
     assert done.returncode == 1, done.stdout + done.stderr
     assert "NOT done: " in done.stdout
-    assert "the workload's own controller runs one pod, which is active" in done.stdout
+    assert "runs only one pod, and this pod is active" in done.stdout
     assert restarting.wait_driven() == active
     assert restarting.recoveries() == []
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from understudy.advice.strategy_figures import PUBLISHED
 from understudy.advice.strategy_order import (
     NEGLIGIBLE,
     SOON,
@@ -38,7 +39,7 @@ def describe_requirements(requirements: Requirements) -> str:
     """Describe the requirements, each with its field."""
     within = required_time(requirements)
     cost = {
-        "Low": f"with standbys that use at most {NEGLIGIBLE:g} of a working instance's CPU",
+        "Low": f"with standbys that use at most {_percent(NEGLIGIBLE)} of a working instance's CPU",
         "Medium": "with no more standbys than required for that",
         "High": "regardless of the cost of standbys",
     }[effective_resource_usage(requirements)]
@@ -55,11 +56,11 @@ def describe_choice(order: Order, judged: RatedStrategy) -> str:
     """Return the reason for the place of a strategy, or for leaving it out."""
     if judged == order.first:
         return _why_first(order)
-    cost = f"{judged.cost:.2g} of a working instance's CPU"
+    cost = f"its standbys would use {_percent(judged.cost)} of a working instance's CPU"
     if judged in order.costly:
-        return f"would use {cost}, but {_payer(order.requirements)} allows at most {NEGLIGIBLE:g} of it"
+        return f"{cost}, but {_payer(order.requirements)} allows at most {_percent(NEGLIGIBLE)}"
     if judged in order.spared:
-        return f"would use {cost}, but strategies after the first may use at most {NEGLIGIBLE:g} of it"
+        return f"{cost}, but strategies after the first may use at most {_percent(NEGLIGIBLE)}"
     return "if the strategies before it fail"
 
 
@@ -82,7 +83,7 @@ def unmet_requirements(order: Order) -> list[str]:
         found.append(
             f"{_sooner(order.requirements)} requires a recovery within "
             f"{_time(required_time(order.requirements))}, but the fastest strategy "
-            f"that may be the first, {strategy_name(first.candidate)}, takes {_time(first.seconds.value)} ({first.seconds.source}): "
+            f"that may be the first, {strategy_name(first.candidate)}, takes {_time(first.seconds.value)} ({_source(first)}): "
             f"{_remedy(order)}"
         )
     if not order.is_safe_enough:
@@ -92,17 +93,19 @@ def unmet_requirements(order: Order) -> list[str]:
             "add a FallbackPool that serves the workload"
         )
     if order.requirements.safety == "High" and not order.safe_commands:
-        found.append("safety High requires safe commands while no instance is active: set spec.safety in the policy")
+        found.append("requirements.safety is High, so the policy must define safe commands: set spec.safety.commands")
     return found
 
 
 def explain(order: Order) -> str:
     """Describe the order in a few sentences, for a condition."""
-    sentences = [f"{one_line(order)}. Required: {describe_requirements(order.requirements)}"]
+    first = order.first
+    numbered = ", ".join(f"{place}. {strategy_name(one.candidate)}" for place, one in enumerate(order.chosen, 1))
+    sentences = [f"Chosen order: {numbered}", f"Required: {describe_requirements(order.requirements)}"]
     sentences.append(
-        f"{strategy_name(order.first.candidate)} is {describe_choice(order, order.first)} ({describe_time(order.first)})"
+        f"The first strategy is {describe_choice(order, first)} ({_time(first.seconds.value)}, {_source(first)})"
     )
-    left_out = [f"{strategy_name(one.candidate)} {describe_choice(order, one)}" for one in order.left_out]
+    left_out = [f"{strategy_name(one.candidate)}, because {describe_choice(order, one)}" for one in order.left_out]
     if left_out:
         sentences.append(f"Left out: {'; '.join(left_out)}")
     sentences += [f"Not met: {one}" for one in unmet_requirements(order)]
@@ -133,6 +136,16 @@ def _remedy(order: Order) -> str:
     if way != "Restart" and LEVELS[way].runs_in_full:
         return "check in its recoveries what takes this long, or choose a lower requirement, which allows more time"
     return "add a FallbackPool with a higher readiness that serves the workload, or choose a lower requirement, which allows more time"
+
+
+def _source(judged: RatedStrategy) -> str:
+    """Return the source of a strategy's time, as text that needs no legend."""
+    source = judged.seconds.source
+    return "published benchmark, see docs/choosing.md" if source == PUBLISHED else source
+
+
+def _percent(share: float) -> str:
+    return f"{share * 100:.3g}%"
 
 
 def _time(seconds: float) -> str:

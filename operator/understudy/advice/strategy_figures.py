@@ -17,12 +17,16 @@ LEAST = 3
 """Least number of recoveries for a measurement, so that a single slow recovery does not change the order."""
 
 
+PUBLISHED = "published"
+"""Source of a figure that was not measured for the workload."""
+
+
 @dataclass(frozen=True)
 class Figure:
     """A figure and its source."""
 
     value: float
-    source: str = "published"
+    source: str = PUBLISHED
     """The source, in words."""
 
 

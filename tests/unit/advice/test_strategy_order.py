@@ -166,7 +166,7 @@ def test_with_high_resource_usage_all_strategies_are_used():
 
 def test_safety_high_requires_safe_commands():
     found = order_strategies(Requirements(safety="High"), ALL, PUBLISHED, safe_commands=False)
-    assert_golden("advice", unmet_requirements(found), "safety High", "spec.safety")
+    assert_golden("advice", unmet_requirements(found), "requirements.safety is High", "spec.safety.commands")
 
 
 @pytest.mark.parametrize(("standbys", "expected"), [(1, "Initialized (warm)"), (2, "Executing (hot)")])
@@ -187,9 +187,9 @@ def test_the_reason_explains_the_chosen_and_the_omitted_strategies():
     assert_golden(
         "advice",
         explain(order(*ALL)),
-        "Initialized (warm), Uninitialized (spare), Restart. ",
+        "1. Initialized (warm), 2. Uninitialized (spare), 3. Restart. ",
         "within 2 s",
         "830 ms",
-        "0.96",
-        "0.1",
+        "96%",
+        "10%",
     )

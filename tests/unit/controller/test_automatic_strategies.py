@@ -93,7 +93,7 @@ def test_the_order_does_not_change_during_a_recovery() -> None:
     made.workload["status"] = {"health": "Recovering", "recoveries": recovered("Restart", 1.1)}
     assert order(made.plan()) == ["warm", "spare", "Restart"]
     message = made.condition("StrategiesChosen")["message"]
-    assert message.startswith("Restart, Uninitialized (spare). ")
+    assert message.startswith("Chosen order: 1. Restart, 2. Uninitialized (spare). ")
     assert_golden("operator", message, "Initialized (warm), Uninitialized (spare), Restart")
 
 
@@ -121,7 +121,7 @@ def test_the_order_and_the_standbys_stay_while_the_policy_is_invalid_or_missing(
         assert "hot" not in pools_of(plan)
         status = made.status()
         assert status["strategies"].split(", ") == ["Initialized (warm)", "Uninitialized (spare)", "Restart"]
-        assert made.condition("StrategiesChosen")["message"].startswith("Initialized (warm), ")
+        assert made.condition("StrategiesChosen")["message"].startswith("Chosen order: 1. Initialized (warm), ")
 
 
 def test_a_new_template_does_not_wait_for_a_standby_of_a_pool_that_was_not_chosen() -> None:
@@ -140,7 +140,7 @@ def test_the_status_reports_the_chosen_order_and_the_reason() -> None:
     condition = made.condition("StrategiesChosen")
     assert (condition["status"], condition["reason"]) == ("True", "Chosen")
     assert_golden("operator", condition["message"], "within 2 s", "availability Medium")
-    assert "Left out: Executing (hot) would use 0.96" in condition["message"]
+    assert "Left out: Executing (hot), because its standbys would use 96%" in condition["message"]
     assert_golden("operator", made.condition("Protected")["message"], "pool warm", "w-w (Initialized)")
 
 

@@ -197,7 +197,7 @@ class TestCondition:
 
     def test_the_condition_explains_the_size_for_a_fleet_without_failures(self) -> None:
         found = condition(observed(sized(), robot("w", age=HOUR)), "Sized")
-        assert_golden("operator", found["message"], "1 robot ", "1 robot hour", "0.5 requests per")
+        assert_golden("operator", found["message"], "1 robot ", "1 robot hour", "the estimated rate is 0.5 ")
 
     def test_an_insufficient_maximum_is_reported_with_the_needed_size(self) -> None:
         fleet = [robot(f"w{n}", age=0) for n in range(300)]
@@ -242,7 +242,7 @@ class TestCondition:
         assert found is not None
         text = pool_size.change(found)
         assert text is not None
-        assert text.startswith("from 0 to 1 pods: 1 robot asked for none")
+        assert text.startswith("from 0 to 1 pods: 1 robot requested no pod")
 
 
 class TestDemand:

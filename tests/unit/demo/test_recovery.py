@@ -115,7 +115,7 @@ def test_an_overlap_within_the_enforcement_time_is_reported_and_allowed() -> Non
     handover = recovered.handover(log((OLD, -2.0, 0.55), (NEW, 0.54, 2.0)))
     assert handover.overlap == pytest.approx(0.01, abs=1e-5)
     assert recovered.problems(handover) == []
-    assert_golden("demo", render(recovered, handover), "1 over 10 ms", "…-7k2xq", "…-x8v2m")
+    assert_golden("demo", render(recovered, handover), "1 command of", "up to 10 ms later", "…-7k2xq", "…-x8v2m")
 
 
 def test_the_timeline_shows_parts_moments_and_the_robot() -> None:
@@ -127,13 +127,13 @@ def test_the_timeline_shows_parts_moments_and_the_robot() -> None:
     assert "503 ms  no /cmd_vel for 500 ms" in lines[1]
     assert "6 ms  gate epoch 41: …-7k2xq → …-x8v2m" in lines[2]
     assert "detected +503 ms" in text
-    assert_golden("demo", text, "fenced +509 ms", "recovered +560 ms", "540 ms without", "31 ms after")
+    assert_golden("demo", text, "fenced +509 ms", "recovered +560 ms", "no command for 540 ms", "31 ms after routed")
 
 
 def test_the_timeline_counts_early_commands() -> None:
     recovered = Recovered.read(entry())
     text = render(recovered, recovered.handover(log((OLD, -2.0, 0.0), (NEW, -1.0, -0.9), (NEW, 0.54, 2.0))))
-    assert "3 of …-x8v2m before the switch" in text
+    assert "3 commands of …-x8v2m before the switch" in text
 
 
 def test_recoveries_are_compared_at_one_scale() -> None:

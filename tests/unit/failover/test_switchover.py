@@ -120,7 +120,7 @@ async def test_without_a_ready_standby_nothing_changes_and_the_reason_is_reporte
     assert found.passing
     assert "Fallback/Executing: w-2: no /cmd_vel for 500 ms" in found.reason
     assert_golden("failover", found.reason, "Fallback/Uninitialized", "FallbackPool spare")
-    assert "Restart: the workload's own controller runs one pod" in found.reason
+    assert "Restart: it cannot be used for a planned switchover" in found.reason
     assert (store.gate.active, store.commits, store.deleted) == ("w-1", [], [])
 
 

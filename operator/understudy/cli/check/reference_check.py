@@ -124,9 +124,7 @@ def _requirements_not_met(workload: Manifest, policy: Manifest, pools: Sequence[
     # A pool in the cluster may meet what the pools of these files do not.
     hint = "" if order.is_fast_enough and order.is_safe_enough else f". {IN_THE_CLUSTER}"
     for problem in order_explanation.unmet_requirements(order):
-        message = (
-            f"for RobotWorkload {workload.name} the result is {order_explanation.one_line(order)}: {problem}{hint}"
-        )
+        message = f"for RobotWorkload {workload.name}, the chosen order is {order_explanation.one_line(order)}: {problem}{hint}"
         yield policy.finding("spec.requirements", message, warning=True)
 
 

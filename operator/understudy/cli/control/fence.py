@@ -117,8 +117,9 @@ def _parser() -> argparse.ArgumentParser:
         description="Closes the gate of a RobotWorkload: as soon as the network enforces this, no output of its "
         "instances reaches the robot. Also pauses the workload, so that the gate stays closed until understudy "
         "resume. This is not an emergency stop: what the robot does without commands is up to the robot.",
-        epilog="Exit status: 0 if the gate is closed and its monitor leaves it closed, 1 if it is closed and the monitor has not reported "
-        "the pause, 2 on an error.",
+        epilog=f"Exit status: 0 if the gate is closed and the monitor has confirmed the pause (or does not run), 1 if the gate is closed "
+        f"but the monitor has not confirmed the pause within {CONFIRM_WITHIN:g} s, so it may open the gate again (run understudy explain "
+        "NAME, and then this command again), 2 on an error.",
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
     signature.add_options(parser, reason="why the workload is fenced, for other users")

@@ -54,7 +54,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy pause",
         description="Pauses a RobotWorkload (spec.pause): its monitor keeps watching and reporting, but does not act: "
-        "no recovery, no switchover and no safe command. A recovery that is under way is completed first.",
+        "no recovery, no planned switchover and no safe command. A recovery that is under way is completed first.",
         epilog="Exit status: 0 if it is paused now, 2 on an error.",
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")

@@ -36,7 +36,7 @@ _PURPOSE: Mapping[Verb, str] = {
     "switches the gate. When the monitor has verified the outputs of the new instance at the robot, it deletes the "
     "pod of the former one. If no instance becomes ready, nothing changes.",
     "failback": "Switches a RobotWorkload back to a pod of its Deployment, StatefulSet or (with spec.template) "
-    "ReplicaSet, after a pool's pod has taken over. It is a planned switchover too, and works as understudy "
+    "ReplicaSet, after a pool's pod has taken over. This is also a planned switchover, and works as understudy "
     "failover does.",
 }
 
@@ -129,7 +129,7 @@ def _parser(verb: Verb) -> argparse.ArgumentParser:
         prog=f"understudy {verb}",
         description=_PURPOSE[verb],
         epilog="Exit status: 0 if the switchover succeeded, 1 if it failed and the former instance keeps control, "
-        "2 on an error.",
+        "2 if the command did not see the end, or on another error.",
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
     parser.add_argument(
@@ -137,7 +137,8 @@ def _parser(verb: Verb) -> argparse.ArgumentParser:
         metavar="DURATION",
         type=option_rules.duration,
         default=WITHIN,
-        help="how long to wait for the end of the switchover, such as 30s (default: 2m)",
+        help="how long the command waits for the end of the switchover, such as 30s (default: 2m); after this time, the switchover "
+        "continues without the command",
     )
     add_options(parser)
     return parser

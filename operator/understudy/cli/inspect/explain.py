@@ -37,7 +37,8 @@ def _parser() -> argparse.ArgumentParser:
         description="Explains the state of a RobotWorkload: which strategy a failure would trigger now, why the strategies "
         "before it are not available, what its pools provide, and what is missing, each with a remedy. It applies the operator's own rules "
         "to the current state of the cluster, and changes nothing.",
-        epilog="Exit status: 0 if it is protected and healthy (or degraded), 1 if it is not, 2 if this cannot be determined.",
+        epilog="Exit status: 0 if the workload is protected (the monitor watches it, and the first strategy of its policy could run now) "
+        "and healthy (or degraded), 1 if it is not, 2 if this cannot be determined.",
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
     add_output(parser)

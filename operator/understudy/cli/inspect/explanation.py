@@ -372,8 +372,8 @@ def _otherwise(known: Facts, considered: Sequence[StrategyAvailability]) -> Iter
     found = _recorded(first, known.observed).rpartition("/")[2] if first is not None else "None"
     if reported != found:
         yield _Entry(
-            f"Its monitor says {reported}. It knows more than the pods' readiness, such as whether their agents are connected; in a few "
-            "seconds both should say the same.",
+            f"The monitor reports a different next strategy: {reported}. The monitor also knows which agents are connected; this command "
+            "knows only the readiness of the pods. If the two still differ after a few seconds, look at the log of the monitor.",
             "Degraded",
         )
 
@@ -381,30 +381,30 @@ def _otherwise(known: Facts, considered: Sequence[StrategyAvailability]) -> Iter
 # -- dependencies -----------------------------------------------------------------------------------------------------
 
 _AFTERWARDS = {
-    "Nothing": "the monitor does nothing here",
-    "Reinitialize": "the monitor runs bringUp again here",
-    "Restart": "the monitor replaces the active pod here",
-    "Procedure": "the monitor runs a procedure here",
+    "Nothing": "the monitor leaves this workload as it is",
+    "Reinitialize": "the monitor runs bringUp again",
+    "Restart": "the monitor replaces the active pod",
+    "Procedure": "the monitor runs a procedure",
 }
 
 
 def _dependencies(known: Facts) -> Iterator[_Entry]:
     """List its dependencies with their health, and the workloads that depend on it."""
     for one in known.spec.depends_on if known.spec is not None else ():
-        after = f"after it is recovered, {_AFTERWARDS[one.on_recovery]}"
+        after = f"After {one.name} recovers, {_AFTERWARDS[one.on_recovery]} (onRecovery: {one.on_recovery})."
         if one.name not in known.workloads:
-            yield _Entry(f"on {one.name}, which does not exist; {after}", "Failed")
+            yield _Entry(f"depends on {one.name}, which does not exist. {after}", "Failed")
             continue
         status, gate = status_of(known.workloads[one.name]), known.gates.get(names.gate(one.name))
         recovering = under_way(status, gate, known.observed.now) is not None
         health = "Recovering" if recovering else status.health or "Unknown"
         state = "Healthy" if health in DRIVEN else "Failed"
-        yield _Entry(f"on {one.name} ({health}); {after}", state)
+        yield _Entry(f"depends on {one.name} ({health}). {after}", state)
     found = [name for name, one in known.workloads.items() if known.robot.name in dependency_graph.named(one)]
     if found:
         line = (
-            f"These depend on this one: {listed(sorted(found))}. While this one is not healthy, a failure of "
-            "theirs that it may cause waits."
+            f"Workloads that depend on this one: {listed(sorted(found))}. While this workload is not healthy, their monitors "
+            "delay recoveries of failures that it may have caused."
         )
         yield _Entry(line)
 
@@ -481,7 +481,8 @@ def _missing(known: Facts) -> Iterator[_Entry]:
                 yield _Entry(f"pool {name} {problem.about} ({problem.reason}): {problem.message}", "Failed")
                 found.append(problem)
     if known.protected.status == "True" and all(problem.type == "Degraded" for problem in found):
-        yield _Entry("Its protection is complete." if found else "Nothing: its protection is complete.", "Healthy")
+        nothing = "Nothing else" if found else "Nothing"
+        yield _Entry(f"{nothing}: everything that the first strategy needs is available.", "Healthy")
 
 
 def _unprotected(known: Facts) -> str:
@@ -493,7 +494,9 @@ def _unprotected(known: Facts) -> str:
     is_reported = first is not None and not first.available and found.reason == first.reason
     words = "the first strategy of its policy cannot run, see above." if is_reported else found.message
     stale = (
-        " Its status says that it is: that is a moment old, or the operator is not running." if problem is None else ""
+        " The status does not report this: it is a few seconds old, or the operator is not running."
+        if problem is None
+        else ""
     )
     return f"not protected ({found.reason}{since}): {words}{stale}"
 
@@ -524,7 +527,7 @@ def _not_covered(known: Facts) -> Iterator[_Entry]:
         yield _Entry("The policy has one strategy: if it is not verified, there is no other one to try.")
     if policy.safety is None:
         yield _Entry(
-            "The policy has no safety commands: until an instance is active again, the robot receives no commands."
+            "The policy has no safe commands (spec.safety): until an instance is active again, the robot receives no commands."
         )
 
 

@@ -225,8 +225,8 @@ def _parser() -> argparse.ArgumentParser:
         description="Shows the robots and pools of a namespace: the active instance, ready standbys, the last recovery, and "
         "problems. It reads the status that operator and monitors write. A recovery in progress is recorded at the gate first, and "
         "shown if you have permission to list NetworkPolicies. The command changes nothing.",
-        epilog="Exit status: 0 if every robot shown is protected and healthy (or degraded), 1 if "
-        "one is not, 2 on an error or if there is none.",
+        epilog="Exit status: 0 if every robot shown is protected (the monitor watches it, and the first strategy of its policy could run "
+        "now) and healthy (or degraded), 1 if one is not, 2 on an error or if there is none.",
     )
     parser.add_argument("names", metavar="NAME", nargs="*", help="a RobotWorkload (default: all)")
     parser.add_argument("-w", "--watch", action="store_true", help="keep updating until Ctrl-C")

@@ -102,7 +102,7 @@ class Manifest:
     def finding(self, path: str, message: str, *, warning: bool = False, place: Place | None = None) -> Finding:
         """Return a finding about one of its fields."""
         if path in self.spelled:
-            message += f". YAML parses {self.spelled[path]} as true or false: quote it if it is a text"
+            message += f'. YAML reads the unquoted word {self.spelled[path]} as a boolean: write "{self.spelled[path]}" if you mean text'
         return Finding(
             self.file, place or self.place(path), "warning" if warning else "error", self.subject, path, message
         )

@@ -62,9 +62,9 @@ def _parser() -> argparse.ArgumentParser:
         "robots, how long the robots wait, what the pool costs and what downtime it saves. With --risk, it "
         "calculates how many fallbacks are needed. It assumes that failures are independent of each other, and "
         "that each uses a fallback, which is replaced after the refill time.",
-        epilog="Exit status: 0, or 2 on an error. The models are described in docs/sizing.md. The paper is: Mirus, Pasch, Singhal, Scholl, "
-        "A generic approach for reactive stateful mitigation of application failures in distributed robotics systems deployed with "
-        "Kubernetes.",
+        epilog="Exit status: 0, or 2 on an error. The models are described in docs/sizing.md. The defaults of --refill, "
+        "--restart and --fallback-cpu follow this paper: Mirus, Pasch, Singhal, Scholl, A generic approach for "
+        "reactive stateful mitigation of application failures in distributed robotics systems deployed with Kubernetes.",
     )
     parser.add_argument(
         "--robots", type=option_rules.whole(1, 10_000_000), required=True, help="number of robots that share the pool"
@@ -91,7 +91,7 @@ def _parser() -> argparse.ArgumentParser:
         dest="refill",
         type=_duration,
         metavar="DURATION",
-        help="time from a failure until another fallback is ready (default: the recovery time, as in the paper)",
+        help="time from a failure until another fallback is ready (default: the recovery time)",
     )
     parser.add_argument(
         "--restart-seconds",
@@ -99,15 +99,15 @@ def _parser() -> argparse.ArgumentParser:
         dest="restart",
         type=_duration,
         metavar="DURATION",
-        help="downtime of a robot that is restarted instead (default: twice the recovery time, as in the paper)",
+        help="downtime of a robot that is restarted instead (default: twice the recovery time)",
     )
     parser.add_argument(
         "--fallback-cpu",
         type=_cpu,
         default=1.0,
         metavar="SHARE",
-        help="CPU of a waiting fallback as a share of a working instance's (default: 1, as in the paper, which measured 0.6 for an "
-        "uninitialized one)",
+        help="CPU of a waiting fallback as a share of a working instance's (default: 1; the paper measured 0.6 for an uninitialized "
+        "fallback)",
     )
     asked = parser.add_mutually_exclusive_group(required=True)
     asked.add_argument("--fallbacks", type=option_rules.whole(0, MOST), metavar="N", help="size of the pool")
@@ -121,7 +121,7 @@ def _parser() -> argparse.ArgumentParser:
         "--risk-of",
         choices=tuple(MEASURES),
         help="what the risk is. loss: no fallback is ready at a failure. waiting: the robot has to wait for one. window: within "
-        f"one refill time there are more failures than fallbacks, as in the paper (default: {RISK_OF})",
+        f"one refill time there are more failures than fallbacks, the measure of the paper (default: {RISK_OF})",
     )
     parser.add_argument("--plot", metavar="FILE.png", help="draw risk against cost (needs the extra understudy[plots])")
     option_rules.add_output(parser, "output format (default: text)")

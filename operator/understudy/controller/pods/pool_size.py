@@ -202,28 +202,30 @@ def _reason(found: Sized) -> str:
     spec, status = found.spec, found.status
     robots = "1 robot" if status.robots == 1 else f"{status.robots} robots"
     hours = "1 robot hour" if status.robot_hours == 1 else f"{status.robot_hours:g} robot hours"
-    figures = f"{status.failures_per_robot_hour:g} requests per robot and hour ({status.low:g} to {status.high:g})"
-    if status.failures:
-        times = "once" if status.failures == 1 else f"{status.failures} times"
-        source = f"{robots} asked for a pod {times} in {hours}"
-    else:
-        source = (
-            f"{robots} asked for none in {hours}, and {spec.failures_per_robot_hour:g} per robot and hour were assumed"
-        )
+    times = "once" if status.failures == 1 else f"{status.failures} times"
+    requests = f"a pod {times}" if status.failures else "no pod"
     kind = "find no pod" if spec.risk_of == "Loss" else "have to wait for a pod"
-    return f"{source}: {figures}. Each uses a pod for {spec.refill}. At most {spec.risk} of the requests may {kind} (spec.sizing.risk)."
+    return (
+        f"{robots} requested {requests} in {hours}. With the prior of {spec.failures_per_robot_hour:g} per robot and hour "
+        f"(spec.sizing.failuresPerRobotHour), the estimated rate is {status.failures_per_robot_hour:g} ({2 * SURE - 1:.0%} interval: "
+        f"{status.low:g} to {status.high:g}). A replacement pod is ready {spec.refill} after each request (spec.sizing.refill). "
+        f"At most {spec.risk} of the requests may {kind} (spec.sizing.risk)."
+    )
 
 
 def _conclusion(found: Sized) -> str:
     decision, spec = found.decision, found.spec
     size = f"So the pool keeps {_pods(decision.size)}"
     if decision.size > decision.needed and decision.size == spec.min:
-        return f"{size}, which is spec.sizing.min; {decision.needed} would be enough."
+        return f"{size}, which is spec.sizing.min; {_pods(decision.needed)} would be enough."
     if decision.shrinks and decision.size > spec.min:
         fewer = max(decision.safe, spec.min)
-        return f"{size}; {fewer} would certainly be enough, so the pool becomes smaller by one every {REST / 60:g} minutes."
+        return (
+            f"{size}. {_pods(fewer)} would be enough with {SURE:.0%} confidence, so the operator removes one pod every "
+            f"{REST / 60:g} minutes."
+        )
     if decision.size > decision.needed:
-        return f"{size}; {decision.needed} may be enough, but that is not certain yet (to {SURE:.0%})."
+        return f"{size}. At the estimated rate, {_pods(decision.needed)} would be enough, but not yet with {SURE:.0%} confidence."
     return f"{size}."
 
 

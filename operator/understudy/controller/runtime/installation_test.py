@@ -187,7 +187,8 @@ def main(argv: Sequence[str]) -> int:
     """Print the results of the checks, and return the exit status."""
     parser = argparse.ArgumentParser(
         prog="understudy verify",
-        description="Checks whether this installation works. helm test runs it in a pod.",
+        description="Checks from a pod whether this installation works. helm test uses this command. To check a cluster by hand, use "
+        "understudy doctor.",
         epilog="Exit status: 0 if every check passes, 1 otherwise.",
     )
     parser.add_argument("--operator", required=True, metavar="NAME", help="name of the operator's Deployment")

@@ -55,7 +55,8 @@ class Restart(Strategy):
         instances = context.instances.of_workload()
         if any(i.from_source for i in instances if i.uid == active):
             raise NotAvailable(
-                "the workload's own controller runs one pod, which is active: it cannot start another one beside it"
+                "it cannot be used for a planned switchover, because the Deployment, StatefulSet or ReplicaSet of the workload runs only "
+                "one pod, and this pod is active"
             )
         own = [i for i in instances if i.from_source and i.usable and not progress.has_failed(i.uid)]
         if reasons := [f"{i.name} {reason}" for i in own if (reason := unfit(i)) is not None]:

@@ -184,7 +184,7 @@ async def restore(target: Instance, progress: Progress, context: StrategyContext
     if target.has_agent:
         report = await context.agents.restore(target, state, context.restore_within)
     else:
-        report = state.none_restored(f"pod {target.name} has no agent because its own controller created it")
+        report = state.none_restored(f"pod {target.name} has no agent, because Understudy did not create it")
     progress.note_state(report)
     context.save(progress)
 

@@ -27,7 +27,7 @@ def test_a_pool_that_serves_others_does_not_count() -> None:
 
 def test_high_safety_requires_safe_commands() -> None:
     policy = AUTO.replace("availability: High", "safety: High")
-    assert only(policy, WORKLOAD, POOL).message.endswith("set spec.safety in the policy")
+    assert only(policy, WORKLOAD, POOL).message.endswith("set spec.safety.commands")
 
 
 def test_requirements_next_to_explicit_strategies_have_no_findings() -> None:

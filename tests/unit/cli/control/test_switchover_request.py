@@ -90,7 +90,9 @@ def test_a_switchover_that_fails_is_reported_with_its_reason(
 def test_failback_is_done_if_the_own_instance_is_already_active(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    stand.tell([fleet.well()], then=[phase("Done", "w-1 of the workload's own controller is active already.")])
+    stand.tell(
+        [fleet.well()], then=[phase("Done", "w-1 of the Deployment, StatefulSet or ReplicaSet is active already.")]
+    )
     assert failback.main([NAME]) == 0
     assert "done: w-1 of the workload's own controller" in capsys.readouterr().out
 

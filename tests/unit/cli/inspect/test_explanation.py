@@ -30,7 +30,7 @@ def test_a_completely_protected_robot_is_explained() -> None:
     assert third.startswith("✓ 3. Restart is next")
     assert "within 20s" in third
     assert "3.68 s" in third
-    assert text["Missing"] == ["✓ Nothing: its protection is complete."]
+    assert text["Missing"] == ["✓ Nothing: everything that the first strategy needs is available."]
     hot, standby, spare, other = text["Pools"]
     assert hot == "navigation-hot (Executing): 1 ready, 1 wanted"
     assert standby == "robot-17-navigation-w7h5k on node-2: ready"
@@ -39,7 +39,7 @@ def test_a_completely_protected_robot_is_explained() -> None:
 
 
 def test_the_size_of_an_automatically_sized_pool_is_explained() -> None:
-    why = "12 robots asked for a pod 6 times in 120 robot hours. So the pool keeps 3 pods."
+    why = "12 robots requested a pod 6 times in 120 robot hours. So the pool keeps 3 pods."
     condition = {
         "type": "Sized",
         "status": "True",
@@ -89,7 +89,8 @@ def test_the_reason_and_duration_of_a_degraded_state_are_explained() -> None:
     assert tree.endswith("understudy tree -n fleet robot-18-navigation")
     assert head == "fleet/robot-18-navigation  Degraded for 38s"
     assert all(fact in why for fact in ("/scan", "8.6 Hz", "9.0 to 11.0", "sensors/scan"))
-    assert explained_lines(known(fleet.degraded()))["Missing"][-1] == "✓ Its protection is complete."
+    missing = explained_lines(known(fleet.degraded()))["Missing"]
+    assert missing[-1] == "✓ Nothing else: everything that the first strategy needs is available."
 
 
 def test_a_missing_monitor_is_reported() -> None:
@@ -119,9 +120,12 @@ def test_a_monitor_that_expects_another_strategy_is_reported() -> None:
     item = fleet.well()
     item["status"]["strategy"] = "Restart"
     assert any(
-        line.startswith("! Its monitor says Restart.") for line in explained_lines(known(item))["If it failed now"]
+        line.startswith("! The monitor reports a different next strategy: Restart.")
+        for line in explained_lines(known(item))["If it failed now"]
     )
-    assert not any("Its monitor says" in line for line in explained_lines(known(fleet.well()))["If it failed now"])
+    assert not any(
+        "different next strategy" in line for line in explained_lines(known(fleet.well()))["If it failed now"]
+    )
 
 
 def test_a_takeover_by_the_reflex_counts_for_its_strategy() -> None:
@@ -195,7 +199,7 @@ def test_gaps_in_the_configured_protection_are_listed() -> None:
     assert_golden("explain", [first, *others])
     assert "does not watch /gripper" in first
     assert any("keeps no state" in line for line in others)
-    assert any("no safety commands" in line for line in others)
+    assert any("no safe commands" in line for line in others)
 
 
 @pytest.mark.parametrize(
@@ -291,9 +295,9 @@ def test_dependencies_and_dependents_are_listed() -> None:
     text = explained_lines(known(item, [*fleet.around(item), item, first, last]))
     localization, maps, control = text["Dependencies"]
     assert_golden("explain", text["Dependencies"])
-    assert localization.startswith("✗ on localization (Recovering);")
-    assert maps.startswith("✗ on maps,")
-    assert control.startswith("These depend on this one: control.")
+    assert localization.startswith("✗ depends on localization (Recovering).")
+    assert maps.startswith("✗ depends on maps,")
+    assert control.startswith("Workloads that depend on this one: control.")
     assert "Dependencies" not in explained_lines(known(fleet.well()))
 
 
@@ -320,6 +324,10 @@ def test_a_dependency_is_recovering_as_soon_as_its_gate_reports_it() -> None:
     item = fleet.workload("planning", status=fleet.status("planning", "x8v2m", 4), dependsOn=needs)
     first = fleet.well()
     around = [*fleet.around(item), first]
-    assert explained_lines(known(item, around))["Dependencies"][0].startswith("✓ on robot-17-navigation (Healthy);")
+    assert explained_lines(known(item, around))["Dependencies"][0].startswith(
+        "✓ depends on robot-17-navigation (Healthy)."
+    )
     around.append(fleet.gate(first, fleet.under_way()))
-    assert explained_lines(known(item, around))["Dependencies"][0].startswith("✗ on robot-17-navigation (Recovering);")
+    assert explained_lines(known(item, around))["Dependencies"][0].startswith(
+        "✗ depends on robot-17-navigation (Recovering)."
+    )

@@ -143,8 +143,8 @@ def test_the_trade_off_table_gives_the_reason_for_each_rank(file, capsys):
         "4.67 s",
         "50 ms",
         "96 %",
-        "0.96",
-        "0.1",
+        "96%",
+        "10%",
     )
     assert_golden("plan", "\n".join(lines), "docs/choosing.md")
 

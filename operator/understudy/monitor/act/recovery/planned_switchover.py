@@ -69,7 +69,7 @@ class Wanted:
     def unfit(self, instance: Instance) -> str | None:
         """Return why an instance does not satisfy the request; None if it does."""
         if self.kind == "Failback" and not instance.from_source:
-            return "does not belong to the workload's own controller"
+            return "does not belong to the Deployment, StatefulSet or ReplicaSet of the workload"
         if self.drain is not None and instance.node in self.drain.cordoned:
             return f"is on {instance.node}, which is cordoned too"
         return None
@@ -233,7 +233,7 @@ class PlannedSwitchovers:
             return None
         active = self._fleet.find(self._gate.state.active_uid)
         if found.kind == "Failback" and self._task is None and active is not None and active.from_source:
-            self._end("Done", f"{active.name} of the workload's own controller is active already.", wanted)
+            self._end("Done", f"{active.name} of the Deployment, StatefulSet or ReplicaSet is active already.", wanted)
             return None
         return wanted
 
