@@ -272,7 +272,9 @@ def test_the_requirements_of_a_situation_choose_strategies_again() -> None:
     plan = made.build()
     assert pools_of(plan) == {"hot"}
     assert order(plan) == ["warm", "spare", "Restart"]
-    assert made.condition("StrategiesChosen")["message"].startswith("Chosen order: 1. Initialized (warm), 2. Uninitialized (spare)")
+    assert made.condition("StrategiesChosen")["message"].startswith(
+        "Chosen order: 1. Initialized (warm), 2. Uninitialized (spare)"
+    )
     made.pods.append(standby(made, "w-hot", "hot"))
     plan = made.build()
     assert order(plan) == ["hot", "warm", "spare", "Restart"]

@@ -94,7 +94,7 @@ def test_failback_is_done_if_the_own_instance_is_already_active(
         [fleet.well()], then=[phase("Done", "w-1 of the Deployment, StatefulSet or ReplicaSet is active already.")]
     )
     assert failback.main([NAME]) == 0
-    assert "done: w-1 of the workload's own controller" in capsys.readouterr().out
+    assert "done: w-1 of the Deployment, StatefulSet or ReplicaSet" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("timeout", ["0", "0s", "-3", "soon", "nan", "inf", ""])
