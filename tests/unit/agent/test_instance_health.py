@@ -174,7 +174,7 @@ async def test_readiness_depends_on_the_publishers_of_the_instance_itself(pod: P
     assert not ready.outputs, "its messages are not received for that"
     await link.configure({"publisher": {"topic": "/cmd_vel", "node": "/nobody"}}, OUTPUTS, 1.0)
     status = await link.wait_for(lambda s: not s.ready, 60)
-    assert_golden("agent", status.reason, "/cmd_vel", "/nobody", "1 s", "none")
+    assert_golden("agent", status.reason, "/cmd_vel", "/nobody", "1 s", "no publisher")
 
 
 async def test_readiness_depends_on_the_nodes_of_the_instance_itself(pod: Pod, links, ros):

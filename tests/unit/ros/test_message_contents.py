@@ -108,7 +108,7 @@ def test_the_levels_of_two_nodes_are_distinguished(watching, processes, eventual
     eventually(lambda: judged.now().state == "Healthy")
     tell(camera, status=[{"name": "camera: a", "level": 2, "message": "no frames"}])
     eventually(lambda: judged.now().state == "Failed")
-    assert judged.now().reason.endswith("(camera: a says ERROR: no frames)")
+    assert judged.now().reason.startswith("/diagnostics: status 'camera: a' is ERROR (no frames); ")
 
 
 def test_messages_of_an_inactive_instance_do_not_count(watching, processes, eventually, address_of):
@@ -199,7 +199,7 @@ def test_an_age_by_source_counts_from_the_sending_and_ignores_the_stamp(watching
     monkeypatch.setattr(graph, "subscribe", lambda *names, depth, **_: subscribe(*names, depth=depth, latched=True))
     leaf = {"topic": "/late", "type": "std_msgs/msg/Header", "most": "2s", "by": "source"}
     judged = Judged(watching, {"age": leaf}, grace=0.0)
-    eventually(lambda: "(it was" in judged.now().reason)
+    eventually(lambda: " arrived with an age of " in judged.now().reason)
     assert judged.now().state == "Failed"
     assert watching.topic("/late").contents[-1].under_way() >= 2.5
 

@@ -122,7 +122,7 @@ def test_other_parameters_and_other_nodes_have_no_influence(watching, node, proc
 
 
 @pytest.mark.parametrize(
-    ("name", "reason"), [("nobodys", "(it is not set)"), ("list", "(it is an array)"), ("unset", "(it is not set)")]
+    ("name", "reason"), [("nobodys", " is not set; "), ("list", " is an array; "), ("unset", " is not set; ")]
 )
 def test_a_missing_or_incomparable_parameter_is_reported(watching, node, eventually, name, reason):
     node()

@@ -57,7 +57,7 @@ def test_a_goal_without_progress_fails_despite_feedback_and_recovers_at_its_end(
     assert due is not None
     assert due <= time.time(), "it fails at the deadline, not before"
     assert verdict.reason == (
-        f"sequence[-1] of /go has not grown by 2 for 2 s ({number} was the best) while a goal of /go is active"
+        f"sequence[-1] of /go did not increase by 2 within 2 s (compared with {number}) while a goal of /go is active"
     )
     feed_back(server, 0, number + 2)
     eventually(lambda: judged.now().state == "Healthy")

@@ -47,7 +47,7 @@ def test_a_missing_publisher_fails_regardless_of_other_publishers(watching, othe
     eventually(lambda: judged.now().state == "Healthy")
     controller.node.destroy_publisher(own)
     eventually(lambda: judged.now().state == "Failed")
-    assert_golden("ros", judged.now().reason, "/chat", "/controller", "300 ms", "none")
+    assert_golden("ros", judged.now().reason, "/chat", "/controller", "300 ms", "no publisher")
     publisher(controller, "/chat")
     eventually(lambda: judged.now().state == "Healthy")
 

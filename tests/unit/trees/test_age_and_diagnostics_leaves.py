@@ -23,7 +23,7 @@ def test_the_age_of_a_message_is_measured_at_its_receipt():
     assert verdict == Verdict("Failed", verdict.reason, "scan.age", START + 1.0)
     assert_golden("health_tree", verdict.reason, "300 ms", "/scan", "412 ms")
     assert world.hear("/scan", 11.0, late=-2.0).at(11.0).state == "Healthy"
-    assert world.hear("/scan", 12.0, late=None).at(12.0).reason.endswith("(it cannot be determined: there is no stamp)")
+    assert world.hear("/scan", 12.0, late=None).at(12.0).reason.endswith("cannot be determined: it has no stamp; at most 300 ms is required")
 
 
 def test_with_for_a_single_late_message_is_no_failure():
@@ -96,7 +96,7 @@ def test_the_last_level_of_a_status_counts_regardless_of_other_statuses():
     world.hear("/diagnostics", 3.1, Array(Status("lidar", 0)))
     verdict = world.at(3.2)
     assert verdict == Verdict("Failed", verdict.reason, "diagnostics", START + 2.0)
-    assert_golden("health_tree", verdict.reason, "WARN", "/diagnostics", "camera: driver says ERROR: no frames")
+    assert_golden("health_tree", verdict.reason, "WARN", "/diagnostics", "'camera: driver' is ERROR (no frames)")
     world.hear("/diagnostics", 4.0, Array(Status("camera: driver", 0)))
     assert world.at(4.0).state == "Healthy"
 
@@ -107,7 +107,7 @@ def test_the_worst_level_of_all_statuses_with_the_prefix_counts():
     world.hear("/diagnostics", 2.0, Array(Status("camera b", 3, "gone")))
     world.hear("/diagnostics", 2.1, Array(Status("camera a", 2, "hot"))).at(2.2)
     assert world.deadline(2.2) == 3
-    assert world.at(3.0).reason.endswith("has not held for 1 s (camera b says STALE: gone)")
+    assert world.at(3.0).reason.endswith("status 'camera b' is STALE (gone); at most WARN is required (violated for 1 s)")
     world.hear("/diagnostics", 3.1, Array(Status("camera b", 0)))
     assert world.at(3.2).state == "Failed"
     world.hear("/diagnostics", 3.3, Array(Status("camera a", 0)))
@@ -121,7 +121,7 @@ def test_without_a_name_every_status_counts_and_the_next_instance_starts_without
         .hear("/diagnostics", 1.1, Array(Status("b", 1), Status("c", 200)))
     )
     assert world.at(1.2).state == "Starting"
-    assert "(c says level 200, and 1 more)" in world.at(10).reason
+    assert "status 'c' is level 200, and 1 more; " in world.at(10).reason
     world.since = START + 20
     world.hear("/diagnostics", 21.0, Array(Status("a", 0)))
     assert world.at(21).state == "Healthy"
@@ -154,7 +154,7 @@ def test_memory_of_statuses_is_bounded_and_messages_of_another_type_are_reported
     world = World(levels(prefix="n"))
     world.hear("/diagnostics", 0.1, Array(Status("n-first", 2))).at(0.1)
     world.hear("/diagnostics", 0.2, Array(*(Status(f"n{i}", 0) for i in range(511))))
-    assert "n-first says ERROR" in world.at(0.2).reason
+    assert "'n-first' is ERROR" in world.at(0.2).reason
     world.hear("/diagnostics", 0.3, Array(Status("n511", 0)))
     assert world.at(0.3).state == "Healthy", "only the last 512 are remembered"
     assert_golden(

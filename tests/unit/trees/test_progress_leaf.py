@@ -140,9 +140,9 @@ def test_unreadable_feedback_is_no_progress():
         "health_tree", judged.at(110.5).reason, "distance_remaining is inf", "distance_remaining", "/go", "0.5", "10 s"
     )
     judged.hear("/go/_action/feedback", 111.0, "not of that type").at(111.0)
-    assert "(it cannot be determined: not of that type)" in judged.at(111.0).reason
+    assert "(its value cannot be determined: not of that type)" in judged.at(111.0).reason
     judged.hear("/go/_action/feedback", 111.5, object()).at(111.5)
-    assert_golden("health_tree", judged.at(111.5).reason, "no feedback")
+    assert_golden("health_tree", judged.at(111.5).reason, "not feedback")
 
 
 def test_an_instance_that_takes_over_a_goal_has_the_startup_grace():

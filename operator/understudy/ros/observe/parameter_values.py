@@ -22,7 +22,7 @@ class Setting(NamedTuple):
 class ParameterValues(Inquiries[tuple[str, str], Setting, ParameterState]):
     """Some parameters, each by the fully qualified name of its node and its own name."""
 
-    absent = Setting(None, "there is no such node that would say it")
+    absent = Setting(None, "it is not available because there is no such node")
 
     def topic(self, subject: tuple[str, str]) -> str:
         """Return the topic on which all nodes report their parameters."""

@@ -21,7 +21,8 @@ class Finding(NamedTuple):
     holds: bool
     """False also if the condition cannot be determined: a required condition must be seen to hold."""
     why: str
-    """Why the condition does not hold, in plain words with figures; empty if it holds."""
+    """The subject and the value that does not meet the condition, such as ``/battery: percentage was 0.1``; empty if
+    the condition holds."""
     starting: bool = False
     """Whether the only reason is something that is still starting, for which the condition has never held."""
 
@@ -101,6 +102,10 @@ class EvidenceLeaf(Leaf, Generic[EvidenceT]):
     def condition(self) -> str:
         """Return the condition in words, such as ``percentage > 0.15 of /battery_state``."""
 
+    def requirement(self) -> str:
+        """Return what the condition requires, in words that follow a finding, such as ``percentage > 0.15 is required``."""
+        return f"{self.condition()} is required"
+
     def awaited(self) -> str:
         """Return what must arrive first, in words."""
         return self.topic
@@ -179,14 +184,12 @@ class EvidenceLeaf(Leaf, Generic[EvidenceT]):
             return self._nothing_received(state, self.awaited())
         if state == "Healthy":
             return f"{condition} holds" if track.held else f"{condition} is not required yet"
-        why = f" ({track.why})" if track.why else ""
+        found = f"{track.why}; {self.requirement()}"
         if state == "Starting":
-            return f"{condition} has not held yet{why}"
+            return f"{found} (not met yet)"
         if not track.held and not self.tasks:
-            return f"{condition} has not held within {duration(self._evaluation.grace)} of the start{why}"
-        if self.hold_off:
-            return f"{condition} has not held for {duration(self.hold_off)}{why}"
-        return f"{condition} does not hold{why}"
+            return f"{found} (not met within {duration(self._evaluation.grace)} of the start)"
+        return f"{found} (violated for {duration(self.hold_off)})" if self.hold_off else found
 
 
 class AnswerLeaf(EvidenceLeaf[AnswerT]):
@@ -196,7 +199,7 @@ class AnswerLeaf(EvidenceLeaf[AnswerT]):
 
     @abstractmethod
     def wrong(self, content: AnswerT) -> str:
-        """Return why an answer is not as expected, in words; empty if it is."""
+        """Return the subject and the value that is not as expected, in words; empty if it is as expected."""
 
     def evaluate(self, content: AnswerT, failed: bool) -> Finding | None:
         """Evaluate an answer."""

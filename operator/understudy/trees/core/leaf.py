@@ -126,7 +126,7 @@ class Leaf(Behaviour, ABC):
             return f"no {what}"
         if state == "Failed":
             return f"no {what} within {duration(self._evaluation.grace)} of the start"
-        return f"{what} is silent"
+        return f"no {what} yet"
 
 
 class IntervalLeaf(Leaf):

@@ -33,7 +33,7 @@ class RequiredProgress:
     """Seconds."""
 
     def __str__(self) -> str:
-        return f"not {'fallen' if self.sign < 0 else 'grown'} by {self.by:g} for {duration(self.within)}"
+        return f"{'decrease' if self.sign < 0 else 'increase'} by {self.by:g} within {duration(self.within)}"
 
 
 class ProgressLeaf(ContentLeaf):
@@ -66,17 +66,18 @@ class ProgressLeaf(ContentLeaf):
             goal = bytes(message.goal_id.uuid)
             value = self._aim.quantity.value(message.feedback)
         except (Unreadable, Undefined) as error:
-            self._why = f"it cannot be determined: {error}"
+            self._why = f"its value cannot be determined: {error}"
             return None
         except AttributeError:
-            self._why = f"it cannot be determined: found a {type(content.message()).__name__}, no feedback"
+            found = type(content.message()).__name__
+            self._why = f"its value cannot be determined: a message of type {found} is not feedback of an action"
             return None
         best = self._best.pop(goal, None)  # so that the goal with the oldest feedback comes first
         better = best is None or (value - best) * self._aim.sign >= self._aim.by
         self._best[goal] = value if best is None or better else best
         while len(self._best) > MOST_GOALS:
             del self._best[next(iter(self._best))]
-        self._why = f"{self._best[goal]:.6g} was the best"
+        self._why = f"compared with {self._best[goal]:.6g}"
         return Finding(True, "") if better else None
 
     # -- the state --------------------------------------------------------------------------------------------------
@@ -126,7 +127,7 @@ class ProgressLeaf(ContentLeaf):
         assert self._aim is not None, "a gap alone fails by the gap"
         has_feedback = record is not None and (record.last or -math.inf) >= self.clocks_start()
         what = f"{self._aim.quantity.text:.80} of {self._action}"
-        return f"{what} has {self._aim} ({self._why if has_feedback and self._why else 'no feedback has come'})"
+        return f"{what} did not {self._aim} ({self._why if has_feedback and self._why else 'no feedback was received'})"
 
 
 def feedback_of(action: str) -> str:

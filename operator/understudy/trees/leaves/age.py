@@ -47,14 +47,21 @@ class AgeLeaf(ContentLeaf):
         """Evaluate the message by its stamp, or by the time at which it was sent."""
         age = content.under_way() if self._by == SOURCE else content.age()
         if age is None:
-            lacks = "the middleware did not report when it was sent" if self._by == SOURCE else "there is no stamp"
-            return Finding(False, f"it cannot be determined: {lacks}")
-        return Finding(True, "") if age <= self._most else Finding(False, f"it was {rounded(age)}")
+            lacks = "the middleware did not report when it was sent" if self._by == SOURCE else "it has no stamp"
+            return Finding(False, f"the age of a message of {self.topic} cannot be determined: {lacks}")
+        if age <= self._most:
+            return Finding(True, "")
+        found = f"{rounded(age)} after it was sent" if self._by == SOURCE else f"with an age of {rounded(age)}"
+        return Finding(False, f"a message of {self.topic} arrived {found}")
 
     def condition(self) -> str:
         """Return the condition in words."""
         since = " since it was sent" if self._by == SOURCE else ""
         return f"an age of at most {duration(self._most)} of {self.topic}{since}"
+
+    def requirement(self) -> str:
+        """Return what the condition requires."""
+        return f"at most {duration(self._most)} is required"
 
 
 def rounded(seconds: float) -> str:

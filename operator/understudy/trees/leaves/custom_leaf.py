@@ -77,7 +77,7 @@ class CustomLeaf(ContentLeaf):
         try:
             message = content.message()
         except Unreadable as error:
-            return Finding(False, f"it cannot be determined: {error}")
+            return Finding(False, f"{self.topic} cannot be judged: {error}")
         try:
             if self._judge is None:
                 self._judge = self._make()
@@ -88,11 +88,15 @@ class CustomLeaf(ContentLeaf):
             self._note(f"{self.kind} cannot judge {self.topic}, {_error_text(error)}")
             return Finding(True, "")  # being unable to judge is not a failure
         self.blind = ""
-        return Finding(False, why[:LONGEST]) if why else Finding(True, "")
+        return Finding(False, f"{self.topic}: {why[:LONGEST]}") if why else Finding(True, "")
 
     def condition(self) -> str:
         """Return the condition in words."""
         return f"{self.kind} of {self.topic}"
+
+    def requirement(self) -> str:
+        """Return what the condition requires."""
+        return f"{self.kind} must accept the message"
 
     def _note(self, blind: str) -> None:
         if blind != self.blind:

@@ -78,7 +78,7 @@ class DiagnosticsLeaf(ContentLeaf):
         try:
             found = [status for status in _statuses(content.message()) if self._asked(status[0])]
         except Unreadable as error:
-            return Finding(False, f"it cannot be determined: {error}")
+            return Finding(False, f"{self.topic} cannot be judged: {error}")
         if not found:
             return None
         for name, level, text in found:
@@ -94,7 +94,7 @@ class DiagnosticsLeaf(ContentLeaf):
         more = f", and {len(bad) - 1} more" if len(bad) > 1 else ""
         # Nodes start one after the other: the grace of the others does not end when the first are well.
         starting = content.received < self._evaluation.in_time and not any(status.well for status in bad.values())
-        return Finding(False, _status_text(name, bad[name].level, bad[name].text) + more, starting)
+        return Finding(False, f"{self.topic}: {_status_text(name, bad[name].level, bad[name].text)}{more}", starting)
 
     def _asked(self, name: str) -> bool:
         if name.startswith(OWN) or f"/{OWN}" in name:  # diagnostic_aggregator puts a path before the name
@@ -104,6 +104,10 @@ class DiagnosticsLeaf(ContentLeaf):
     def condition(self) -> str:
         """Return the condition in words."""
         return f"a level of at most {LEVELS[self._worst]} of {self.awaited()}"
+
+    def requirement(self) -> str:
+        """Return what the condition requires."""
+        return f"at most {LEVELS[self._worst]} is required"
 
     def awaited(self) -> str:
         """Return the statuses that must arrive."""
@@ -128,7 +132,7 @@ def _status_text(name: str, level: int, text: str) -> str:
     word = LEVELS[level] if level < len(LEVELS) else f"level {level}"
     text = " ".join(text.split())
     text = text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
-    return f"{name[:_LONGEST]} says {word}{': ' if text else ''}{text}"
+    return f"status {name[:_LONGEST]!r} is {word}{f' ({text})' if text else ''}"
 
 
 def _check(values: LeafValues) -> None:

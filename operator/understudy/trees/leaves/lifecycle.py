@@ -44,11 +44,15 @@ class LifecycleLeaf(AnswerLeaf[NodeState]):
         """Return which other state it is in."""
         if content.state == self._state:
             return ""
-        return f"it is {content.state}" if content.state else "it is not there"
+        return f"node {self._node} is {content.state}" if content.state else f"node {self._node} is not there"
 
     def condition(self) -> str:
         """Return the condition in words."""
         return f"state {self._state} of node {self._node}"
+
+    def requirement(self) -> str:
+        """Return what the condition requires."""
+        return f"{self._state} is required"
 
     def awaited(self) -> str:
         """Return what must arrive first."""

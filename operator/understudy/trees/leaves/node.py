@@ -31,7 +31,7 @@ class NodeLeaf(EvidenceLeaf[NodePresence]):
 
     def awaited(self) -> str:
         """Return what must arrive first."""
-        return f"look for node {self.topic}"
+        return f"observation of node {self.topic}"
 
     def _plain_reason(self, state: State) -> str:
         track, node = self.followed(), self.condition()

@@ -64,7 +64,7 @@ class OneOf(Expected):
     def __str__(self) -> str:
         if len(self.texts) == 1:
             return f"equal to {self.texts[0]}"
-        return f"one of {', '.join(self.texts)}"
+        return f"equal to one of {', '.join(self.texts)}"
 
 
 @dataclass(frozen=True)
@@ -106,13 +106,18 @@ class ParameterLeaf(AnswerLeaf[ParameterState]):
 
     def wrong(self, content: ParameterState) -> str:
         """Return which other value it has."""
+        subject = f"parameter {self._name} of node {self._node}"
         if content.value is None:
-            return content.lacks
-        return "" if self._expected.holds(content.value) else f"it is {found_text(content.value)}"
+            return f"{subject} {content.lacks.removeprefix('it ')}"
+        return "" if self._expected.holds(content.value) else f"{subject} is {found_text(content.value)}"
 
     def condition(self) -> str:
         """Return the condition in words."""
         return f"parameter {self._name} of node {self._node} {self._expected}"
+
+    def requirement(self) -> str:
+        """Return what the condition requires."""
+        return f"a value {self._expected} is required"
 
     def awaited(self) -> str:
         """Return what must arrive first."""

@@ -81,7 +81,7 @@ class _LookLeaf(EvidenceLeaf[PodState]):
 
     def awaited(self) -> str:
         """Return what must arrive first."""
-        return "look at the pod"
+        return "observation of the pod"
 
 
 class ConditionLeaf(_LookLeaf):
@@ -98,12 +98,17 @@ class ConditionLeaf(_LookLeaf):
         if (found.status if found is not None else "Unknown") == self._status:
             return Finding(True, "")
         if found is None:
-            return Finding(False, "the pod has no such condition")
-        return Finding(False, f"it is {found.status}{f', {found.reason}' if found.reason else ''}")
+            return Finding(False, f"the pod has no condition {self._condition}")
+        reason = f" ({found.reason})" if found.reason else ""
+        return Finding(False, f"condition {self._condition} of the pod is {found.status}{reason}")
 
     def condition(self) -> str:
         """Return the condition in words."""
         return f"status {self._status} of the pod's condition {self._condition}"
+
+    def requirement(self) -> str:
+        """Return what the condition requires."""
+        return f"{self._status} is required"
 
 
 class UsageLeaf(_LookLeaf):
@@ -121,11 +126,15 @@ class UsageLeaf(_LookLeaf):
         taken = getattr(content.usage, self._what)
         if self._bound.holds(taken):
             return Finding(True, "")
-        return Finding(False, f"it was {RESOURCES[self._what](taken)}")
+        return Finding(False, f"{self._what} of the pod was {RESOURCES[self._what](taken)}")
 
     def condition(self) -> str:
         """Return the condition in words."""
         return f"{self._what} {self._bound} of the pod"
+
+    def requirement(self) -> str:
+        """Return what the condition requires."""
+        return f"{self._what} {self._bound} is required"
 
 
 @dataclass

@@ -32,15 +32,21 @@ class PublisherLeaf(EvidenceLeaf[Publishers]):
         count = sum(self._node in (None, node) for node in content.nodes)
         if count >= self._count:
             return Finding(True, "")
-        return Finding(False, f"there {'is' if count == 1 else 'are'} {count}" if count else "there is none")
+        subject = f"node {self._node}" if self._node is not None else "the instance"
+        publishers = f"{count or 'no'} publisher{'s' if count > 1 else ''}"
+        return Finding(False, f"{subject} has {publishers} of {self.topic}")
 
     def condition(self) -> str:
         """Return the condition in words."""
         return f"a count of at least {self._count} publisher{'s' if self._count > 1 else ''} of {self._asked()}"
 
+    def requirement(self) -> str:
+        """Return what the condition requires."""
+        return f"at least {self._count} {'are' if self._count > 1 else 'is'} required"
+
     def awaited(self) -> str:
         """Return what must arrive first."""
-        return f"look at the publishers of {self._asked()}"
+        return f"observation of the publishers of {self._asked()}"
 
     def _asked(self) -> str:
         return f"{self.topic} in node {self._node}" if self._node is not None else self.topic

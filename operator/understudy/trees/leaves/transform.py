@@ -68,9 +68,11 @@ class TransformLeaf(ContentLeaf):
             return Finding(True, "")
         newest = max(stamps)
         if not newest:
-            return Finding(False, "it cannot be determined: there is no stamp")
+            return Finding(False, f"the age of {self.awaited()} cannot be determined: it has no stamp")
         age = content.older(newest)
-        return Finding(True, "") if age <= self._most else Finding(False, f"it was {rounded(age)}")
+        if age <= self._most:
+            return Finding(True, "")
+        return Finding(False, f"{self.awaited()} arrived with an age of {rounded(age)}")
 
     def _stamps(self, content: Content) -> Iterator[float]:
         """Return the stamps of the transform in a message, in Unix seconds."""
@@ -98,6 +100,10 @@ class TransformLeaf(ContentLeaf):
         if self._most is None:
             return self.awaited()
         return f"an age of at most {duration(self._most)} of {self.awaited()}"
+
+    def requirement(self) -> str:
+        """Return what the condition requires."""
+        return super().requirement() if self._most is None else f"at most {duration(self._most)} is required"
 
     def awaited(self) -> str:
         """Return the transform that must arrive."""

@@ -43,19 +43,26 @@ class ValueLeaf(ContentLeaf):
         try:
             message = content.message()
         except Unreadable as error:
-            return Finding(False, f"it cannot be determined: {error}")
+            return Finding(False, f"{self.topic} cannot be judged: {error}")
         try:
             if wanted.holds(message):
                 return Finding(True, "")
             values = wanted.values(message).replace(" is ", " was ")
-            return Finding(False, values)
+            return Finding(False, f"{self.topic}: {values}" if values else f"{self.topic} does not meet the condition")
         except Undefined as error:
-            return Finding(False, f"it cannot be determined: {error}")
+            return Finding(False, f"{self.topic} cannot be judged: {error}")
 
     def condition(self) -> str:
         """Return the condition in words."""
+        return f"{self._text()} of {self.topic}"
+
+    def requirement(self) -> str:
+        """Return what the condition requires."""
+        return f"{self._text()} is required"
+
+    def _text(self) -> str:
         text = self._holds.text
-        return f"{text if len(text) <= 80 else f'{text[:77]}...'} of {self.topic}"
+        return text if len(text) <= 80 else f"{text[:77]}..."
 
 
 def _check(values: LeafValues) -> None:
