@@ -124,7 +124,7 @@ class Track:
         if reason := changed(last, point):
             return reason
         if elapsed < 0:
-            return f"its time went back by {-elapsed * _SECOND:.3g} s"
+            return f"the time of the odometry went back by {-elapsed * _SECOND:.3g} s"
         seconds = elapsed * _SECOND
         step = last.pose.to(point.pose)
         miss, most = last.pose.distance(point.pose), LEAST_STEP + FASTEST * seconds
@@ -133,8 +133,12 @@ class Track:
             ahead = Pose(vx * seconds, vy * seconds, vz * seconds, 0.0, 0.0, 0.0, 1.0)
             miss, most = ahead.distance(step), LEAST_STEP + HARDEST / 2 * seconds**2
             if abs(step.angle - speed * seconds) > LEAST_TURN + TWISTIEST / 2 * seconds**2:
-                return f"it turned by {step.angle:.2f} rad within {seconds:.2f} s"
-        return f"it jumped by {last.pose.distance(point.pose):.2f} m within {seconds:.2f} s" if miss > most else ""
+                return f"the odometry turned by {step.angle:.2f} rad within {seconds:.2f} s"
+        return (
+            f"the odometry jumped by {last.pose.distance(point.pose):.2f} m within {seconds:.2f} s"
+            if miss > most
+            else ""
+        )
 
     def at(self, stamp: int, received: int, *, last: bool = False) -> Moment | None:
         """Return the moment at a time, given by the publisher's clock (``stamp``, 0 if there is none) and by this machine's clock.
@@ -194,10 +198,10 @@ class Track:
 def changed(before: Point, now: Point) -> str:
     """Return why two messages come from different odometry, in plain words; empty if they may come from the same."""
     if before.writer != now.writer:
-        return "it comes from another publisher"
+        return "another publisher took over this topic"
     if (before.frame, before.child) != (now.frame, now.child):
         return (
-            f"its frames changed from {before.frame or 'none'} and {before.child or 'none'} to "
+            f"the frames of the odometry changed from {before.frame or 'none'} and {before.child or 'none'} to "
             f"{now.frame or 'none'} and {now.child or 'none'}"
         )
     return ""

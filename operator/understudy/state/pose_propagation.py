@@ -105,7 +105,7 @@ class Carrier:
         point = Point(reading.pose, reading.stamp, round(received_at / _SECOND), reading.frame, reading.child, writer)
         if reason := odometry.track.add(point):
             if reason != odometry.restart:
-                _logger.warning("odometry on %s begins anew: %s", topic, reason)
+                _logger.warning("odometry on %s restarted: %s", topic, reason)
             odometry.restart = reason
             for pose in self._poses.values():
                 if pose.by.topic == topic:
@@ -178,12 +178,12 @@ class Carrier:
             missing = odometry.problem or _NOTHING
         elif moment is None:
             missing = (
-                f"the odometry started again after the pose: {odometry.restart}"
+                f"after the pose was recorded, {odometry.restart}"
                 if odometry.restart
                 else "no odometry is known for the time of the pose"
             )
         if missing or last is None or present is None or moment is None:
-            return Motion(by.topic, by.type, by.required, f"the pose cannot be propagated by {by.topic}: {missing}")
+            return Motion(by.topic, by.type, by.required, f"the pose cannot be propagated with {by.topic}: {missing}")
         unseen = now - last.received * _SECOND
         return Motion(
             topic=by.topic,

@@ -171,7 +171,7 @@ async def test_a_pose_is_restored_as_kept_if_odometry_is_silent(
 async def test_a_pose_is_restored_as_kept_if_the_monitor_requests_it(
     localizer: Callable[[], None], caller: InstanceCaller, wheels: Wheels
 ) -> None:
-    missing = Motion("/odom", ODOMETRY, missing="the pose cannot be propagated by /odom: nobody publishes it")
+    missing = Motion("/odom", ODOMETRY, missing="the pose cannot be propagated with /odom: nobody publishes it")
     report, got = await restored(caller, localizer, kept(missing))
     assert_golden("agent", report.restored[0].note, "/odom", "nobody publishes")
     assert got.pose.pose.position.y == 5.0

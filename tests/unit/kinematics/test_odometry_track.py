@@ -114,17 +114,19 @@ def test_noise_of_a_standing_robot_adds_no_distance() -> None:
 @pytest.mark.parametrize(
     ("after", "reason"),
     [
-        pytest.param(point(planar(0.05), 3.1), "it jumped by 1.45 m within 0.10 s", id="reset to the origin"),
-        pytest.param(point(planar(1.15), 3.1), "it jumped by 0.35 m within 0.10 s", id="small step back"),
-        pytest.param(point(planar(1.55, 0.0, 2.0), 3.1), "it turned by 2.00 rad within 0.10 s", id="sudden turn"),
+        pytest.param(point(planar(0.05), 3.1), "the odometry jumped by 1.45 m within 0.10 s", id="reset to the origin"),
+        pytest.param(point(planar(1.15), 3.1), "the odometry jumped by 0.35 m within 0.10 s", id="small step back"),
         pytest.param(
-            point(planar(1.55), 3.1, writer=b"x" * 16), "it comes from another publisher", id="another publisher"
+            point(planar(1.55, 0.0, 2.0), 3.1), "the odometry turned by 2.00 rad within 0.10 s", id="sudden turn"
         ),
-        pytest.param(point(planar(1.55), 0.5), "its time went back by 2.5 s", id="time goes back"),
-        pytest.param(point(planar(90.0), 8.0), "it jumped by 88.50 m within 5.00 s", id="impossible speed"),
+        pytest.param(
+            point(planar(1.55), 3.1, writer=b"x" * 16), "another publisher took over this topic", id="another publisher"
+        ),
+        pytest.param(point(planar(1.55), 0.5), "the time of the odometry went back by 2.5 s", id="time goes back"),
+        pytest.param(point(planar(90.0), 8.0), "the odometry jumped by 88.50 m within 5.00 s", id="impossible speed"),
         pytest.param(
             Point(planar(1.55), START + 3_100_000_000, 0, "odom2", "base_link", b"w" * 16),
-            "its frames changed from odom and base_link to odom2 and base_link",
+            "the frames of the odometry changed from odom and base_link to odom2 and base_link",
             id="frames",
         ),
     ],
@@ -168,7 +170,7 @@ def test_a_track_continues_after_a_restart_of_the_process() -> None:
     assert track.add(point(planar(1.8), 5.0)) == ""
     assert track.present is not None
     assert (track.present.driven, track.present.blind) == (pytest.approx(1.8, abs=0.05), pytest.approx(2.0))
-    assert track.add(point(planar(0.0), 5.1, writer=b"x" * 16)) == "it comes from another publisher"
+    assert track.add(point(planar(0.0), 5.1, writer=b"x" * 16)) == "another publisher took over this topic"
 
 
 def test_an_empty_track_stays_empty_after_a_restart() -> None:

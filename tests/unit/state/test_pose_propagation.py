@@ -141,7 +141,10 @@ def test_invalid_odometry_is_reported(carrier: Carrier) -> None:
 
 @pytest.mark.parametrize(
     ("x", "writer", "reason"),
-    [(1.5, OTHER, "it comes from another publisher"), (0.0, ROBOT, "it jumped by 1.50 m within 0.10 s")],
+    [
+        (1.5, OTHER, "another publisher took over this topic"),
+        (0.0, ROBOT, "the odometry jumped by 1.50 m within 0.10 s"),
+    ],
 )
 def test_a_restart_of_odometry_makes_earlier_poses_unusable(
     carrier: Carrier, x: float, writer: bytes, reason: str

@@ -23,7 +23,11 @@ def test_the_age_of_a_message_is_measured_at_its_receipt():
     assert verdict == Verdict("Failed", verdict.reason, "scan.age", START + 1.0)
     assert_golden("health_tree", verdict.reason, "300 ms", "/scan", "412 ms")
     assert world.hear("/scan", 11.0, late=-2.0).at(11.0).state == "Healthy"
-    assert world.hear("/scan", 12.0, late=None).at(12.0).reason.endswith("cannot be determined: it has no stamp; at most 300 ms is required")
+    assert (
+        world.hear("/scan", 12.0, late=None)
+        .at(12.0)
+        .reason.endswith("cannot be determined: it has no stamp; at most 300 ms is required")
+    )
 
 
 def test_with_for_a_single_late_message_is_no_failure():
@@ -107,7 +111,9 @@ def test_the_worst_level_of_all_statuses_with_the_prefix_counts():
     world.hear("/diagnostics", 2.0, Array(Status("camera b", 3, "gone")))
     world.hear("/diagnostics", 2.1, Array(Status("camera a", 2, "hot"))).at(2.2)
     assert world.deadline(2.2) == 3
-    assert world.at(3.0).reason.endswith("status 'camera b' is STALE (gone); at most WARN is required (violated for 1 s)")
+    assert world.at(3.0).reason.endswith(
+        "status 'camera b' is STALE (gone); at most WARN is required (violated for 1 s)"
+    )
     world.hear("/diagnostics", 3.1, Array(Status("camera b", 0)))
     assert world.at(3.2).state == "Failed"
     world.hear("/diagnostics", 3.3, Array(Status("camera a", 0)))

@@ -39,7 +39,11 @@ def test_the_leaf_fails_when_the_parameter_changes():
     assert verdict == Verdict("Failed", verdict.reason, "controller.max_vel_x.parameter", START + 1.0)
     assert_golden("health_tree", verdict.reason, "max_vel_x", "/controller", "0.26", "0.5")
     assert world.set(SPEED, 3.0, 0.26).at(3.0).state == "Healthy"
-    assert world.set(SPEED, 4.0, None, "it is not set").at(4.0).reason.startswith("parameter max_vel_x of node /controller is not set; ")
+    assert (
+        world.set(SPEED, 4.0, None, "it is not set")
+        .at(4.0)
+        .reason.startswith("parameter max_vel_x of node /controller is not set; ")
+    )
 
 
 def test_with_for_the_leaf_fails_exactly_after_that_time_with_other_values():

@@ -228,7 +228,9 @@ async def test_a_procedure_waits_for_a_value() -> None:
     running = asyncio.create_task(procedure(leaf).run(instance, LONG))
     await asyncio.sleep(0.1)
     assert not running.done()
-    with pytest.raises(ProcedureFailed, match=r"/scan: percentage was 0.4; percentage > 0.5 is required \(not met yet\)"):
+    with pytest.raises(
+        ProcedureFailed, match=r"/scan: percentage was 0.4; percentage > 0.5 is required \(not met yet\)"
+    ):
         await load_check(leaf, path="check").run(instance, LONG)
     instance.record.contents.append(ReceivedMessage(asyncio.get_running_loop().time(), Battery(percentage=0.6)))
     await running

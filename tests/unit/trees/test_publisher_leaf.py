@@ -56,7 +56,9 @@ def test_other_nodes_and_topics_have_no_influence():
     world = World(leaf(node=CONTROLLER)).look(CMD, 1.0, CONTROLLER, TELEOP)
     assert world.at(1.0).state == "Healthy"
     assert world.look(CMD, 1.1, CONTROLLER).look("/scan", 1.1).at(1.1).state == "Healthy"
-    assert_golden("health_tree", world.look(CMD, 1.2, TELEOP, "").at(1.2).reason, "/cmd_vel", "/controller", "no publisher")
+    assert_golden(
+        "health_tree", world.look(CMD, 1.2, TELEOP, "").at(1.2).reason, "/cmd_vel", "/controller", "no publisher"
+    )
 
 
 def test_fewer_publishers_than_the_count_are_a_failure():

@@ -104,7 +104,9 @@ def test_an_old_transform_ends_the_gap_and_with_for_a_single_one_is_no_failure()
     for time in (1.4, 1.8, 2.2):
         assert hear(world, time, BASE, late=0.4).at(time).state == "Healthy"
     assert world.deadline(2.2) == 2.4
-    assert world.at(2.4).reason.endswith("on /tf arrived with an age of 400 ms; at most 300 ms is required (violated for 1 s)")
+    assert world.at(2.4).reason.endswith(
+        "on /tf arrived with an age of 400 ms; at most 300 ms is required (violated for 1 s)"
+    )
     assert hear(world, 2.5, BASE).at(2.5).state == "Healthy"
     assert hear(world, 2.6, BASE, late=0.4).at(2.6).state == "Healthy"
     assert world.deadline(2.6) == 3.1, "the gap comes first"

@@ -66,9 +66,12 @@ class PosePublication:
             try:
                 data, metres = self._carried(motion, came)
             except ValueError as error:
-                missing = f"the pose cannot be propagated by {motion.topic}: {error}"
+                missing = f"the pose cannot be propagated with {motion.topic}: {error}"
             else:
-                note = f"no {motion.topic} was received for {motion.blind:.1f} s of the time over which the pose was propagated"
+                note = (
+                    f"{motion.topic} was missing for {motion.blind:.1f} s of the time since the pose was recorded, "
+                    "so the restored pose may be inaccurate"
+                )
                 self.outcome = PoseOutcome(metres, note if motion.blind > TOLD_FROM else "")
                 return data
         if motion.required:
@@ -87,7 +90,7 @@ class PosePublication:
         track = Track()
         track.add(before)
         if reason := track.add(Point(reading.pose, reading.stamp, received, reading.frame, reading.child, came.gid)):
-            raise ValueError(f"the odometry started again after the pose: {reason}")
+            raise ValueError(f"after the pose was recorded, {reason}")
         driven = motion.driven + motion.last.distance(reading.pose)
         turned = motion.turned + motion.last.to(reading.pose).angle
         return composed(self._sample, motion.then, reading, driven=driven, turned=turned), driven
@@ -149,7 +152,9 @@ async def present(caller: InstanceCaller, sample: KeptSample, within: float) -> 
             listener = await stack.enter_async_context(caller.listening(motion.topic, motion.type, within))
             waited = min(ODOMETRY_WITHIN, within / 2)
             if await listener.first(waited) is None:
-                missing = f"the pose cannot be propagated by {motion.topic}: nothing came on it within {waited:.3g} s"
+                missing = (
+                    f"the pose cannot be propagated with {motion.topic}: no message arrived on it within {waited:.3g} s"
+                )
         except CallFailed as error:
-            missing = f"the pose cannot be propagated by {motion.topic}: {error}"
+            missing = f"the pose cannot be propagated with {motion.topic}: {error}"
         yield PosePublication(sample, listener, missing)

@@ -108,7 +108,9 @@ class UninitializedFallback(Strategy):
             self.available(context, progress) or f"the monitor could not claim a pod of FallbackPool {self.pool}"
         ]
         if (restarted := self._restarted(progress, context)) is not None and self.wait_for:
-            reasons.append(f"{restarted.name} is up already")
+            reasons.append(
+                f"pod {restarted.name} of the workload itself is ready, so the recovery does not wait for one"
+            )
         elif progress.waiting is not None:
             reasons.append(f"no pod became free within {self.wait_for:g} s")
         if progress.waiting is not None:

@@ -84,9 +84,9 @@ class BudgetSpending:
     def report_held(self, progress: Progress) -> None:
         """Report that a failure is not recovered because the budget is spent."""
         found = self._notices.status.find(CONDITION)
-        pods = ", ".join(pod.name for pod in progress.failed[:1]) or "no pod"
+        done = f"fenced {progress.failed[0].name}" if progress.failed else "closed the gate"
         why = found.message if found is not None else ""
-        text = f"{progress.reason}; the monitor fenced {pods} and does not replace it. {why}"
+        text = f"{progress.reason}. The monitor {done}, so no instance controls the robot. {why}"
         _logger.warning("%s", text)
         self._notices.add(RecoveryDeferred("BudgetSpent"))
         self._notices.condition("Recovering", "False", "BudgetSpent", text.strip())
@@ -97,7 +97,7 @@ class BudgetSpending:
 
     def _spent(self, budget: Budget, until: float) -> str:
         return (
-            f"limits.budget of the policy is spent ({budget.words}). Until {in_words(until)}, the monitor only fences an instance that "
-            "fails, and does not replace it. Find out why the workload fails so often, then run: "
+            f"limits.budget of the policy is spent ({budget.words}). Until {in_words(until)}, the monitor fences an instance that "
+            "fails, but does not replace it. To continue now, find the cause of the failures and run: "
             f"understudy resume -n {self._view.namespace} {self._view.workload}"
         )

@@ -57,7 +57,7 @@ class StrategyOptions:
         """Return why a storm prevents a strategy now; None if it does not."""
         if strategy.has_own_instance or (storm := self._storms.on(time.time())) is None:
             return None
-        return f"held because other workloads fail too: {storm.words}"
+        return f"deferred because other workloads fail too: {storm.words}"
 
     def first_missing(self) -> str | None:
         """Return why the first strategy cannot be carried out, according to reports; None if it can."""

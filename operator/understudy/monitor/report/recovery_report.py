@@ -24,7 +24,7 @@ class RecoveryReport:
     def begins(self, failure: Failure) -> None:
         """Report what is about to be recovered or handed over."""
         if failure.planned:
-            what = "hand-over"
+            what = "planned switchover"
             self._notices.event("Normal", "Rescheduling", failure.reason)
         elif failure.follows:
             what = "dependency"

@@ -216,7 +216,9 @@ async def test_the_state_restored_in_a_recovery_is_reported(monitor: Monitor) ->
     assert (status, reason) == ("True", "Restored")
     assert_golden("monitor", message, "w-2", "/amcl_pose", "0.8 s", "0.43 m")
     uncertain = restored.model_copy(
-        update={"message": "no /odom was received for 4.0 s of the time over which the pose was propagated"}
+        update={
+            "message": "/odom was missing for 4.0 s of the time since the pose was recorded, so the restored pose may be inaccurate"
+        }
     )
     monitor.state_manager.report_restored(recovery.model_copy(update={"state": [uncertain]}))
     status, reason, message = monitor.notices.conditions["StateRestored"]
@@ -224,9 +226,9 @@ async def test_the_state_restored_in_a_recovery_is_reported(monitor: Monitor) ->
     assert_golden("monitor", message, "w-2", "/amcl_pose", "0.8 s", "0.43 m", "/odom", "4.0 s")
     assert not monitor.notices.events
     missing = RestoredState(
-        name="/amcl_pose", restored=True, age_seconds=0.75, message="the pose cannot be propagated by /odom"
+        name="/amcl_pose", restored=True, age_seconds=0.75, message="the pose cannot be propagated with /odom"
     )
     monitor.state_manager.report_restored(recovery.model_copy(update={"state": [missing]}))
-    text = "w-2 was given /amcl_pose (0.8 s old). /amcl_pose: the pose cannot be propagated by /odom."
+    text = "w-2 was given /amcl_pose (0.8 s old). /amcl_pose: the pose cannot be propagated with /odom."
     assert monitor.notices.conditions["StateRestored"] == ("False", "NotCarried", text)
     assert monitor.notices.events == [("Warning", "StateNotCarried", text)]

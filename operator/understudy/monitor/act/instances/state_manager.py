@@ -42,7 +42,7 @@ two of them is known to a millimetre, and a jump can be distinguished from drivi
 """
 
 UNCARRIED_FOR = 10.0
-"""Seconds after which it is reported that a pose cannot be carried to the present."""
+"""Seconds after which it is reported that a pose cannot be propagated."""
 
 PERSIST = 1.0
 """Minimum seconds between two writes to the disk."""
@@ -306,7 +306,7 @@ class StateManager:
             self._keeper.offer(key, data, taken_at=asked, received_at=time.time())
 
     def _troubles(self) -> list[Entry]:
-        """Return the entries of all kept parts, each with its problem, also that it cannot be carried to the present."""
+        """Return the entries of all kept parts, each with its problem, also that it cannot be propagated."""
         now, entries = time.time(), self._keeper.entries(time.time())
         if not self._carrier.topics:
             return entries
@@ -391,9 +391,9 @@ class StateManager:
 
 
 def _age_text(entry: RestoredState) -> str:
-    """Say how old the state was, and how far it was carried."""
+    """Say how old the state was, and by what distance it was propagated."""
     age = f"{entry.age_seconds:.1f} s old"
-    return age if entry.carried_metres is None else f"{age}, carried by {entry.carried_metres:.2f} m"
+    return age if entry.carried_metres is None else f"{age}, propagated by {entry.carried_metres:.2f} m"
 
 
 def _answers(answer: Mapping[str, Any]) -> Iterator[tuple[Key, bytes]]:

@@ -60,9 +60,11 @@ class PoolQueue:
         began = found is None or found.reason != REASON
         if began:
             self._before = (found.reason, found.message) if found is not None else ("FailureDetected", "")
-        place = f"number {ahead + 1} of {of} that wait (poolPriority {me.priority})"
-        text = f"{self._before[1]}; since {_clock(me.since)} it waits for a pod of FallbackPool {me.pool}"
-        text = f"{text}, {place}, until {_clock(me.until)} at most"
+        place = f"position {ahead + 1} of {of}, poolPriority {me.priority}"
+        text = (
+            f"{self._before[1]}; the workload has waited for a pod of FallbackPool {me.pool} since {_clock(me.since)}"
+        )
+        text = f"{text} ({place}), and waits until {_clock(me.until)} at the latest"
         self._notices.condition("Recovering", "True", REASON, text)
         if began:
             _logger.warning("%s", text)

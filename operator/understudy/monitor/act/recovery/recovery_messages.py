@@ -24,7 +24,7 @@ def describe(recovery: Recovery) -> str:
     if (waited := _waited(recovery)) is not None:
         text = f"{text}, including {waited:.1f} s of waiting for a pod"
     if recovery.moments.held is not None:
-        text = f"{text}. limits.budget had suspended the recovery since {recovery.moments.held[11:19]} UTC"
+        text = f"{text}. limits.budget had deferred the recovery since {recovery.moments.held[11:19]} UTC"
     failed = unverified(recovery)
     return f"{text}. Before that: {'; '.join(failed)}" if failed else text
 
