@@ -56,7 +56,7 @@ def test_a_pod_that_is_no_longer_ready_fails_though_its_outputs_flow(kubectl: Ku
     recovery = robot.wait_recovered(1, within=120)
     assert recovery.old == old, recovery
     assert recovery.reason.startswith("condition ContainersReady of the pod is False"), recovery
-    assert recovery.reason.endswith("; True is required (violated for 3 s)"), recovery
+    assert recovery.reason.endswith(", but True is required (violated for 3 s)"), recovery
     assert robot.wait_driven() == recovery.new
     commands = robot.log().of(old)
     assert commands, "it drove"

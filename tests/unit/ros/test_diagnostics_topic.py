@@ -73,7 +73,7 @@ def test_diagnostics_of_understudy_are_ignored_by_levels_and_gaps(
     assert judged.now().state == "Healthy"
     tell(application, status=[{"name": "lidar", "level": 2, "message": "dead"}])
     eventually(lambda: judged.now().state == "Failed")
-    assert judged.now().reason.startswith("/diagnostics: status 'lidar' is ERROR (dead); ")
+    assert judged.now().reason.startswith("/diagnostics: status 'lidar' is ERROR (dead), but ")
 
 
 @pytest.mark.parametrize(

@@ -71,7 +71,7 @@ def bring_to(state: str) -> None:
 def test_a_node_that_leaves_its_state_fails_and_earlier_states_are_requested(watching, graph, managed, eventually):
     managed()
     judged = Judged(watching, {"lifecycle": {"node": NODE}})
-    eventually(lambda: judged.now().reason == "node /managed is unconfigured; active is required (not met yet)")
+    eventually(lambda: judged.now().reason == "node /managed is unconfigured, but active is required (not met yet)")
     bring_to("active")
     eventually(lambda: judged.now().state == "Healthy")
     (host,) = {end.gid[HOST] for end in graph.servers(f"{NODE}/get_state")}
@@ -84,7 +84,7 @@ def test_a_node_that_leaves_its_state_fails_and_earlier_states_are_requested(wat
             late.close()
     bring_to("inactive")
     eventually(lambda: judged.now().state == "Failed")
-    assert " is deactivating; " in judged.now().reason or " is inactive; " in judged.now().reason
+    assert " is deactivating, but " in judged.now().reason or " is inactive, but " in judged.now().reason
     bring_to("active")
     eventually(lambda: judged.now().state == "Healthy")
     assert watching.problems == []
@@ -112,7 +112,7 @@ def test_publishing_setting_parameters_and_other_nodes_have_no_influence(watchin
 
 def test_a_missing_node_is_reported(watching, eventually):
     judged = Judged(watching, {"lifecycle": {"node": NODE}}, grace=0.001)
-    eventually(lambda: judged.now().state == "Failed" and " is not there; " in judged.now().reason)
+    eventually(lambda: judged.now().state == "Failed" and " is not there, but " in judged.now().reason)
 
 
 async def activate(states: LifecycleStates) -> None:

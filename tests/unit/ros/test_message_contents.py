@@ -108,7 +108,7 @@ def test_the_levels_of_two_nodes_are_distinguished(watching, processes, eventual
     eventually(lambda: judged.now().state == "Healthy")
     tell(camera, status=[{"name": "camera: a", "level": 2, "message": "no frames"}])
     eventually(lambda: judged.now().state == "Failed")
-    assert judged.now().reason.startswith("/diagnostics: status 'camera: a' is ERROR (no frames); ")
+    assert judged.now().reason.startswith("/diagnostics: status 'camera: a' is ERROR (no frames), but ")
 
 
 def test_messages_of_an_inactive_instance_do_not_count(watching, processes, eventually, address_of):

@@ -122,7 +122,8 @@ def test_other_parameters_and_other_nodes_have_no_influence(watching, node, proc
 
 
 @pytest.mark.parametrize(
-    ("name", "reason"), [("nobodys", " is not set; "), ("list", " is an array; "), ("unset", " is not set; ")]
+    ("name", "reason"),
+    [("nobodys", " is not set, but "), ("list", " is an array, but "), ("unset", " is not set, but ")],
 )
 def test_a_missing_or_incomparable_parameter_is_reported(watching, node, eventually, name, reason):
     node()

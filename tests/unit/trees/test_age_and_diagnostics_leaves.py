@@ -26,7 +26,7 @@ def test_the_age_of_a_message_is_measured_at_its_receipt():
     assert (
         world.hear("/scan", 12.0, late=None)
         .at(12.0)
-        .reason.endswith("cannot be determined: it has no stamp; at most 300 ms is required")
+        .reason.endswith("cannot be determined: it has no stamp, but at most 300 ms is required")
     )
 
 
@@ -112,7 +112,7 @@ def test_the_worst_level_of_all_statuses_with_the_prefix_counts():
     world.hear("/diagnostics", 2.1, Array(Status("camera a", 2, "hot"))).at(2.2)
     assert world.deadline(2.2) == 3
     assert world.at(3.0).reason.endswith(
-        "status 'camera b' is STALE (gone); at most WARN is required (violated for 1 s)"
+        "status 'camera b' is STALE (gone), but at most WARN is required (violated for 1 s)"
     )
     world.hear("/diagnostics", 3.1, Array(Status("camera b", 0)))
     assert world.at(3.2).state == "Failed"
@@ -127,7 +127,7 @@ def test_without_a_name_every_status_counts_and_the_next_instance_starts_without
         .hear("/diagnostics", 1.1, Array(Status("b", 1), Status("c", 200)))
     )
     assert world.at(1.2).state == "Starting"
-    assert "status 'c' is level 200, and 1 more; " in world.at(10).reason
+    assert "status 'c' is level 200, and 1 more, but " in world.at(10).reason
     world.since = START + 20
     world.hear("/diagnostics", 21.0, Array(Status("a", 0)))
     assert world.at(21).state == "Healthy"

@@ -37,7 +37,7 @@ def test_the_leaf_fails_when_the_node_leaves_its_state():
     assert verdict == Verdict("Failed", verdict.reason, "amcl.lifecycle", START + 1.0)
     assert_golden("health_tree", verdict.reason, "/amcl", "deactivating")
     assert world.tell(AMCL, 3.0, "active").at(3.0).state == "Healthy"
-    assert world.tell(AMCL, 4.0, "").at(4.0).reason.startswith("node /amcl is not there; ")
+    assert world.tell(AMCL, 4.0, "").at(4.0).reason.startswith("node /amcl is not there, but ")
 
 
 def test_with_for_the_leaf_fails_exactly_after_that_time_in_other_states():
@@ -85,7 +85,7 @@ def test_a_leaf_of_a_task_is_judged_only_while_the_task_is_active():
     assert world.at(100.0).state == "Healthy"
     world.task = 100.0
     assert world.deadline(100.1) == 101
-    assert world.at(101.0).reason == "node /amcl is inactive; active is required while a goal of /go is active"
+    assert world.at(101.0).reason == "node /amcl is inactive, but active is required while a goal of /go is active"
 
 
 def test_the_transition_events_of_the_node_are_watched():

@@ -42,7 +42,7 @@ def test_the_leaf_fails_when_the_parameter_changes():
     assert (
         world.set(SPEED, 4.0, None, "it is not set")
         .at(4.0)
-        .reason.startswith("parameter max_vel_x of node /controller is not set; ")
+        .reason.startswith("parameter max_vel_x of node /controller is not set, but ")
     )
 
 
@@ -114,7 +114,9 @@ def test_a_leaf_of_a_task_is_judged_only_while_the_task_is_active():
     assert world.at(100.0).state == "Healthy"
     world.task = 100.0
     assert world.deadline(100.1) == 101
-    assert world.at(101.0).reason.endswith(" is 0.5; a value equal to 0.26 is required while a goal of /go is active")
+    assert world.at(101.0).reason.endswith(
+        " is 0.5, but a value equal to 0.26 is required while a goal of /go is active"
+    )
 
 
 def test_the_parameter_events_are_watched_once_for_all_parameters():

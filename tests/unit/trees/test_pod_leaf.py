@@ -40,7 +40,7 @@ def test_the_leaf_fails_when_the_condition_has_another_status():
     assert verdict == Verdict("Failed", verdict.reason, "pod.Ready", START + 1.0)
     assert_golden("health_tree", verdict.reason, "Ready", "False (ContainersNotReady)")
     assert world.pod_says(3.0, Ready="True").at(3.0).state == "Healthy"
-    assert world.pod_says(4.0).at(4.0).reason.startswith("the pod has no condition Ready; True is required")
+    assert world.pod_says(4.0).at(4.0).reason.startswith("the pod has no condition Ready, but True is required")
 
 
 def test_with_for_the_leaf_fails_exactly_after_that_time_with_another_status():
@@ -94,7 +94,7 @@ def test_a_leaf_of_a_task_is_judged_only_while_the_task_is_active():
     assert world.at(100.0).state == "Healthy"
     world.task = 100.0
     assert world.deadline(100.1) == 101
-    assert world.at(101.0).reason.endswith(" is False; True is required while a goal of /go is active")
+    assert world.at(101.0).reason.endswith(" is False, but True is required while a goal of /go is active")
 
 
 # -- restarts -------------------------------------------------------------------------------------------------------

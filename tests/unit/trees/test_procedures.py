@@ -229,7 +229,7 @@ async def test_a_procedure_waits_for_a_value() -> None:
     await asyncio.sleep(0.1)
     assert not running.done()
     with pytest.raises(
-        ProcedureFailed, match=r"/scan: percentage was 0.4; percentage > 0.5 is required \(not met yet\)"
+        ProcedureFailed, match=r"/scan: percentage was 0.4, but percentage > 0.5 is required \(not met yet\)"
     ):
         await load_check(leaf, path="check").run(instance, LONG)
     instance.record.contents.append(ReceivedMessage(asyncio.get_running_loop().time(), Battery(percentage=0.6)))

@@ -71,7 +71,7 @@ def test_fewer_publishers_than_the_count_are_a_failure():
         "2 publishers of /cmd_vel",
     )
     world.look(CMD, 1.2, CONTROLLER, TELEOP, TELEOP).at(1.2)
-    assert world.look(CMD, 1.3, TELEOP).at(1.3).reason.startswith("the instance has 1 publisher of /cmd_vel; ")
+    assert world.look(CMD, 1.3, TELEOP).at(1.3).reason.startswith("the instance has 1 publisher of /cmd_vel, but ")
 
 
 def test_a_publisher_that_is_not_yet_discovered_is_starting_until_the_grace_ends():
@@ -107,7 +107,7 @@ def test_a_leaf_of_a_task_is_judged_only_while_the_task_is_active():
     assert world.at(100.0).state == "Healthy"
     world.task = 100.0
     assert world.deadline(100.1) == 101
-    assert world.at(101.0).reason.endswith("; at least 1 is required while a goal of /go is active")
+    assert world.at(101.0).reason.endswith(", but at least 1 is required while a goal of /go is active")
     world.task = None
     assert world.at(102.0).state == "Healthy"
 

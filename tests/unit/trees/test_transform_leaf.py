@@ -94,7 +94,7 @@ def test_at_most_fails_if_the_stamp_is_older_at_its_receipt():
     assert_golden("health_tree", verdict.reason, "300 ms", "base_link", "/tf", "400 ms")
     assert hear(world, 1.5, BASE, late=-1.0).at(1.5).state == "Healthy"
     world.hear("/tf", 1.6, TFMessage(transforms=[transform(*BASE, stamp=0.0)]))
-    assert world.at(1.6).reason.endswith("cannot be determined: it has no stamp; at most 300 ms is required")
+    assert world.at(1.6).reason.endswith("cannot be determined: it has no stamp, but at most 300 ms is required")
     world.hear("/tf", 1.7, TFMessage(transforms=[transform(*BASE, START + at) for at in (1.69, 0.5)]))
     assert world.at(1.7).state == "Healthy", "the newest in a message counts"
 
@@ -105,7 +105,7 @@ def test_an_old_transform_ends_the_gap_and_with_for_a_single_one_is_no_failure()
         assert hear(world, time, BASE, late=0.4).at(time).state == "Healthy"
     assert world.deadline(2.2) == 2.4
     assert world.at(2.4).reason.endswith(
-        "on /tf arrived with an age of 400 ms; at most 300 ms is required (violated for 1 s)"
+        "on /tf arrived with an age of 400 ms, but at most 300 ms is required (violated for 1 s)"
     )
     assert hear(world, 2.5, BASE).at(2.5).state == "Healthy"
     assert hear(world, 2.6, BASE, late=0.4).at(2.6).state == "Healthy"

@@ -184,7 +184,7 @@ class EvidenceLeaf(Leaf, Generic[EvidenceT]):
             return self._nothing_received(state, self.awaited())
         if state == "Healthy":
             return f"{condition} holds" if track.held else f"{condition} is not required yet"
-        found = f"{track.why}; {self.requirement()}"
+        found = f"{track.why}, but {self.requirement()}"
         if state == "Starting":
             return f"{found} (not met yet)"
         if not track.held and not self.tasks:

@@ -125,7 +125,7 @@ def test_a_recovery_in_both_gate_and_status_is_reported_once() -> None:
 def test_a_wait_for_a_pod_in_the_status_replaces_the_message_of_the_gate() -> None:
     name = "robot-17-navigation"
     waits = condition(
-        "Recovering", "True", "WaitingForPod", "since 14:02:11 UTC it waits, number 2 of 3 that wait", since=40
+        "Recovering", "True", "WaitingForPod", "the workload has waited since 14:02:11 UTC (position 2 of 3)", since=40
     )
     item = fleet.workload(name, status=fleet.status(name, "x8v2m", 41, waits, health="Recovering"))
     found = robot(item, fleet.gate(item, fleet.under_way(began=fleet.NOW - 40), active=""), fleet.NOW)

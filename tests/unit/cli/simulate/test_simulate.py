@@ -289,7 +289,7 @@ def test_message_definitions_in_the_bag_are_used(folder: Path, capsys: pytest.Ca
             writer.write(connection, ns(at), b"\0\1\0\0" + joints.to_bytes(4, "little"))
     (folder / "look.yaml").write_text(policy('{value: {topic: /arm, type: acme_msgs/msg/Arm, holds: "joints > 3"}}'))
     assert main(["look.yaml", "--bag", "own"]) == 1
-    assert "/arm: joints was 2; joints > 3 is required" in capsys.readouterr().out
+    assert "/arm: joints was 2, but joints > 3 is required" in capsys.readouterr().out
 
 
 def test_control_characters_in_messages_do_not_reach_the_terminal(
