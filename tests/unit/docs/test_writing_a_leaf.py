@@ -129,7 +129,7 @@ def test_repeated_scans_are_found_in_a_bag(site: Path, tmp_path: Path) -> None:
     write(tmp_path / "recorded", scans)
     status, output = run(site, "understudy", "simulate", "policy.yaml", "--bag", "recorded", cwd=tmp_path)
     assert status == 1, output
-    assert_golden("simulate", output, "acme_lively of /scan", "1 s", "ranges")
+    assert_golden("simulate", output, "acme_lively must accept", "1 s", "ranges")
     assert "1x, 1.8 s, first at 6.100 s  Failed" in output
 
 

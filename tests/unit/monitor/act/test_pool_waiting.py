@@ -114,16 +114,16 @@ async def test_the_place_in_the_queue_is_reported_in_the_condition_and_in_one_ev
     condition = notices.status.find("Recovering")
     assert condition is not None
     assert (condition.status, condition.reason) == ("True", "WaitingForPod")
-    assert condition.message.startswith("no /cmd_vel for 500 ms; since ")
+    assert condition.message.startswith("no /cmd_vel for 500 ms; the workload has waited for a pod of ")
     assert_golden(
         "monitor",
         re.sub(r"\d\d:\d\d:\d\d", "TIME", condition.message),
         "FallbackPool spare",
-        "number 2 of 3",
+        "position 2 of 3",
         "poolPriority 5",
     )
     line.waits(me, 0, 2)
-    assert "number 1 of 2" in notices.conditions["Recovering"][2]
+    assert "position 1 of 2" in notices.conditions["Recovering"][2]
     assert [(kind, reason) for kind, reason, _ in notices.events] == [("Warning", "WaitingForPod")]
     line.served(me, "spare-x")
     condition = notices.status.find("Recovering")
