@@ -111,7 +111,7 @@ def test_of_two_that_wait_for_a_pod_the_more_critical_is_served_first(kubectl: K
             note=robot.describe,
         )
     eventually(
-        lambda: "number 2 of 2" in ordinary.condition("Recovering")["message"],
+        lambda: "position 2 of 2" in ordinary.condition("Recovering")["message"],
         within=30,
         what="the ordinary one knows its place",
         note=ordinary.describe,
