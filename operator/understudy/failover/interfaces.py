@@ -119,6 +119,10 @@ class Gate(Protocol):
     async def enforced(self, target: Instance, *, since: float) -> float:
         """Wait until packets of the instance pass the gate, and return when the first one did, in unix seconds."""
 
+    @property
+    def unanswered_since(self) -> float | None:
+        """Since when (by the event loop's clock) the API server has not answered; None while it answers."""
+
     def last_packet(self, uid: str) -> float | None:
         """Return when a packet of a pod last passed the gate, in unix seconds."""
 
@@ -209,5 +213,8 @@ class Outputs(Protocol):
         Returns None if no topic is expected, or no longer is.
         """
 
-    def last_from_others(self, instance: Instance) -> tuple[float, str]:
-        """Return when a sample of another instance last passed the gate, in unix seconds (0 if never), and from which pod."""
+    def last_from_others(self, instance: Instance | None) -> tuple[float, str]:
+        """Return when a sample of another instance (of any instance if None) last passed the gate, and from which pod.
+
+        The time is in Unix seconds; 0 if never.
+        """

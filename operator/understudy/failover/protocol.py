@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Coroutine, Sequence
+from collections.abc import AsyncIterator, Coroutine, Sequence
+from contextlib import asynccontextmanager
 from typing import Literal
 
 from understudy.api.kinds.robot_workload import Attempt
@@ -25,6 +26,9 @@ LOST = 2.0
 
 LOST_CHECK_PERIOD = 0.1
 """Seconds between two checks whether the instance is lost."""
+
+OUTAGE_CHECK_PERIOD = 0.05
+"""Seconds between two checks of whether the API server answers."""
 
 QUIET = 0.200
 """Seconds without a sample of any other instance before a leak counts as closed."""
@@ -86,11 +90,36 @@ async def _in_its_time(progress: Progress, choice: Choice, context: StrategyCont
     while True:
         await choice.strategy.wait(progress, context)
         try:
-            async with asyncio.timeout(choice.verify_within):
+            async with _answered_time(choice.verify_within, context):
                 await unless_lost(_carry_out(progress, choice, context), progress, context, crashing_counts=not last)
             return
         except ClaimsLost as reason:
             _logger.info("%s", reason)
+
+
+@asynccontextmanager
+async def _answered_time(within: float, context: StrategyContext) -> AsyncIterator[None]:
+    """Limit the context to ``within`` seconds, not counting those in which the API server does not answer.
+
+    An outage of the control plane says nothing about an understudy. Raises TimeoutError.
+    """
+    async with asyncio.timeout(within) as limit:
+        extending = asyncio.create_task(_extend_by_outages(limit, context))
+        try:
+            yield
+        finally:
+            extending.cancel()
+
+
+async def _extend_by_outages(limit: asyncio.Timeout, context: StrategyContext) -> None:
+    loop = asyncio.get_running_loop()
+    counted_until = loop.time()
+    while True:
+        await asyncio.sleep(OUTAGE_CHECK_PERIOD)
+        since, now = context.gate.unanswered_since, loop.time()
+        if since is not None and (end := limit.when()) is not None:
+            limit.reschedule(end + now - max(since, counted_until))
+        counted_until = now
 
 
 async def _carry_out(progress: Progress, choice: Choice, context: StrategyContext) -> None:

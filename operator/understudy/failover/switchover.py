@@ -82,7 +82,6 @@ async def prepare(progress: Progress, choices: Sequence[Choice], context: Strate
             reason = f"no new instance was ready within {choice.verify_within:g} s"
         pod = progress.target.name if progress.target else ""
         attempts.append(Attempt(strategy=choice.strategy.name, pod=pod, result=result, message=reason))
-        _logger.info("%s prepares nothing: %s", choice.strategy.name, reason)
         if progress.target is not None:  # nobody else would finish what was begun with it
             progress.fail_target()
             await retire(progress, context)

@@ -12,6 +12,7 @@ import json
 import os
 import random
 import re
+import socket
 import ssl
 from collections.abc import AsyncIterator, Iterator, Mapping
 from dataclasses import dataclass
@@ -21,6 +22,8 @@ from typing import Any, Protocol, Self
 
 import aiohttp
 
+from understudy.kube.api_contact import ApiContact
+
 Object = dict[str, Any]
 
 SERVICE_ACCOUNT = Path("/var/run/secrets/kubernetes.io/serviceaccount")
@@ -29,6 +32,10 @@ PAGE = 250
 LIFETIME = (200, 300)
 """Bounds of the seconds after which a watch ends and starts again. A connection that ended without notice is detected
 then."""
+
+_KEEPALIVE = {"TCP_KEEPIDLE": 5, "TCP_KEEPINTVL": 3, "TCP_KEEPCNT": 3, "TCP_USER_TIMEOUT": 10_000}
+"""Socket options by which the kernel ends a connection whose other side has vanished without a reset: within 5 + 3 * 3 seconds if
+nothing is sent, and within 10,000 milliseconds otherwise. Without them, a watch would wait until the end of its lifetime."""
 
 _TOKEN_LIFETIME = 60.0  # seconds between reads; the kubelet renews the file long before the token expires
 _WEBHOOK = re.compile(r'failed calling webhook "([^"]+)"')
@@ -253,9 +260,16 @@ class Client:
         self._session: aiohttp.ClientSession | None = None
         self._token = access.token
         self._token_read = -_TOKEN_LIFETIME
+        self.contact = ApiContact()
+        """Whether the API server answers."""
 
     async def __aenter__(self) -> Self:
-        connector = aiohttp.TCPConnector(ssl=self._access.context, keepalive_timeout=3600, limit=self._connections)
+        connector = aiohttp.TCPConnector(
+            ssl=self._access.context,
+            keepalive_timeout=3600,
+            limit=self._connections,
+            socket_factory=_probed_socket,
+        )
         self._session = aiohttp.ClientSession(connector=connector)
         return self
 
@@ -313,16 +327,17 @@ class Client:
         assert self._session is not None, "use the client as an asynchronous context manager"
         status = None
         try:
-            async with self._session.request(
-                method,
-                self._access.server + path,
-                params=params,
-                data=data,
-                headers={**await self._headers(), **headers},
-                timeout=self._timeout,
-            ) as response:
-                text = await response.read()
-                status = response.status
+            with self.contact.asking():
+                async with self._session.request(
+                    method,
+                    self._access.server + path,
+                    params=params,
+                    data=data,
+                    headers={**await self._headers(), **headers},
+                    timeout=self._timeout,
+                ) as response:
+                    text = await response.read()
+                    status = response.status
         finally:
             if self._listener is not None:
                 self._listener.request_ended(method, path, status)
@@ -487,6 +502,17 @@ class Client:
                         code = event["object"].get("code", 500)
                         raise Expired if code == 410 else _error(code, json.dumps(event["object"]))
                     yield event["type"], event["object"]
+
+
+def _probed_socket(address: tuple[Any, ...]) -> socket.socket:
+    """Create a socket for an address (an entry of getaddrinfo) whose other side the kernel probes while nothing is sent."""
+    family, kind, protocol, *_ = address
+    made = socket.socket(family, kind, protocol)
+    made.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for name, value in _KEEPALIVE.items():
+        if (option := getattr(socket, name, None)) is not None:  # some are not there on every system of a command line
+            made.setsockopt(socket.IPPROTO_TCP, option, value)
+    return made
 
 
 def _selectors(labels: str | None, fields: str | None) -> dict[str, str]:

@@ -16,8 +16,8 @@ import pytest
 
 from tests.support.agents import status_of
 from tests.support.golden import assert_golden
+from tests.support.network_namespaces import network
 from tests.unit.agent.conftest import Pod, eventually
-from tests.unit.ros.network import network
 from understudy.api.protocol.agent_messages import AgentStatus
 
 pytestmark = pytest.mark.ros

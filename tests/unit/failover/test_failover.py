@@ -220,6 +220,28 @@ async def test_a_recovery_that_a_previous_monitor_started_is_not_held() -> None:
     assert done.result == "Recovered"
 
 
+async def test_an_outage_of_the_api_server_fails_no_standby() -> None:
+    store = protected(pool="hot")
+    world, store.away = World(store), True
+    asyncio.get_running_loop().call_later(3 * VERIFY_WITHIN, setattr, store, "away", False)
+    done = await recover(failure(world), choices(ExecutingFallback("hot"), Restart()), world.context())
+    assert (done.result, done.strategy) == ("Recovered", "Fallback/Executing")
+    assert [(attempt.pod, attempt.result) for attempt in done.attempts] == [("w-2", "Verified")]
+    assert (store.commits, store.deleted) == (["w-2"], ["w-1"])
+
+
+async def test_a_strategy_has_its_whole_time_again_after_an_outage_and_no_more() -> None:
+    store = protected(pool="hot")
+    store.broken.add("w-2")
+    world, store.away = World(store), True
+    loop = asyncio.get_running_loop()
+    loop.call_later(2 * VERIFY_WITHIN, setattr, store, "away", False)
+    began = loop.time()
+    done = await recover(failure(world), choices(ExecutingFallback("hot")), world.context())
+    assert done.result == "Failed"
+    assert 2.5 * VERIFY_WITHIN <= loop.time() - began <= 4.5 * VERIFY_WITHIN
+
+
 async def test_a_refused_claim_leaves_no_pending_commit(monkeypatch: pytest.MonkeyPatch) -> None:
     # A commit that is carried out after the recovery was given up would look to the next one like another writer's.
     store = protected(pool="spare", held=True)

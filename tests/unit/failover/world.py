@@ -157,6 +157,10 @@ class _Gate(_Part):
         await asyncio.sleep(0.001)
         return self.world.clock()
 
+    @property
+    def unanswered_since(self) -> float | None:
+        return self.world.start_time if self.store.away else None
+
     def last_packet(self, uid: str) -> float | None:
         return None
 
@@ -322,7 +326,7 @@ class _Outputs(_Part):
         await asyncio.sleep(PERIOD)
         return self.world.clock()
 
-    def last_from_others(self, instance: Instance) -> tuple[float, str]:
+    def last_from_others(self, instance: Instance | None) -> tuple[float, str]:
         if self.store.beside and (former := self.store.gate.recovery and self.store.gate.recovery.former):
             return self.world.clock() - 10.0, former.name
         return 0.0, ""

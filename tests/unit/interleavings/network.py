@@ -14,6 +14,7 @@ import aiohttp
 from tests.support.answers import tabled
 from tests.unit.interleavings.apiserver import ApiServer, selecting, watch_event
 from tests.unit.interleavings.scheduling import Process, VirtualLoop
+from understudy.kube.api_contact import ApiContact
 from understudy.kube.client import TABLE, ApiError, Client, Expired, Object, Resource
 
 
@@ -129,6 +130,7 @@ class SimulatedClient(Client):
 
     def __init__(self, network: Network, process: Process, timeout: float) -> None:
         self._network, self._process, self._seconds = network, process, timeout
+        self.contact = ApiContact()
 
     async def request(
         self,
@@ -194,7 +196,12 @@ class SimulatedClient(Client):
             network.later(network.delay(), arrive)
         if fate not in ("answered", "refused", "busy", "denied"):
             network.later(self._seconds, self._gave_up, answer, process=process)
-        return await answer
+        with self.contact.asking():
+            try:
+                return await answer
+            except ApiError as error:
+                refusal = error
+        raise refusal
 
     async def read(
         self, path: str, *, params: Mapping[str, str] | None = None, accept: str = "application/json"

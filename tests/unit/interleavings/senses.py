@@ -99,8 +99,9 @@ class Outputs:
                 return max(since, found.through_since)
             await self._robots.wait(self._workload)
 
-    def last_from_others(self, instance: Instance) -> tuple[float, str]:
-        others = [r for r in self._robots.running.values() if r.robot == self._workload and r.uid != instance.uid]
+    def last_from_others(self, instance: Instance | None) -> tuple[float, str]:
+        uid = instance.uid if instance is not None else ""
+        others = [r for r in self._robots.running.values() if r.robot == self._workload and r.uid != uid]
         lasts = [(self._robots.now if r.through else r.through_last, r.name) for r in others]
         last, name = max(lasts, default=(0.0, ""))
         return (last, name) if last > 0 else (0.0, "")

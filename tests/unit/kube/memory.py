@@ -9,6 +9,7 @@ from collections.abc import AsyncIterator, Callable, Mapping
 from typing import Any
 
 from tests.support.answers import json_patched
+from understudy.kube.api_contact import ApiContact
 from understudy.kube.client import CONFIG_MAPS, ApiError, Client, Object, Resource
 
 
@@ -16,6 +17,7 @@ class MemoryClient(Client):
     """A client whose server is a dictionary: versions, conflicts, merge patches, watches."""
 
     def __init__(self) -> None:
+        self.contact = ApiContact()
         self.items: dict[tuple[str, str, str], Object] = {}
         self.requests: list[tuple[str, str, Any]] = []
         self.failing: Callable[[str, str], Exception | None] = lambda method, name: None

@@ -46,7 +46,7 @@ class NoOutputs(Outputs):
     async def first_from(self, instance: Instance, *, since: float) -> float | None:
         return None
 
-    def last_from_others(self, instance: Instance) -> tuple[float, str]:
+    def last_from_others(self, instance: Instance | None) -> tuple[float, str]:
         return 0.0, ""
 
 

@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from tests.unit.ros.network import network
+from tests.support.network_namespaces import network
 from understudy.api import names
 from understudy.api.kinds.robot_workload import Output
 from understudy.ros.dds.profiles import profiles_xml

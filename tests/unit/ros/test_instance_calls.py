@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.unit.ros.network import network
+from tests.support.network_namespaces import network
 from tests.unit.ros.processes import PACKAGE, Processes
 
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("dds")]

@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from tests.unit.ros.network import Network, network
+from tests.support.network_namespaces import Network, network
 from tests.unit.ros.processes import Processes
 from understudy.agent.prepare import filled_in
 from understudy.agent.writer_strength import WriterStrengths

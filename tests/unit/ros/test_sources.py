@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from tests.unit.ros.network import network
+from tests.support.network_namespaces import network
 from understudy.ros.dds.host_ids import VENDOR, host_id
 from understudy.ros.observe.sample_sources import Sources
 

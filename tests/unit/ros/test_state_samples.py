@@ -13,7 +13,7 @@ from tests.support.golden import assert_golden
 
 pytest.importorskip("rclpy")
 
-from tests.unit.ros.network import Network, network
+from tests.support.network_namespaces import Network, network
 from tests.unit.ros.processes import Processes
 from understudy.ros.observe.state_samples import Captured, StateSamples
 from understudy.ros.runtime.graph_node import Graph

@@ -60,6 +60,21 @@ def test_lost_samples_are_counted(watching, processes, eventually):
     assert source.lost > 30
 
 
+def test_samples_that_a_stall_lost_begin_a_new_time_of_observation(watching, processes, eventually):
+    watching.follow([WatchedTopic("/chat", STRING, 0.0, None)])
+    processes.node("publish", "/chat", "100")
+    eventually(lambda: watching.drain() and watching.topic("/chat").count > 5)
+    time.sleep(0.6)  # 13 of 60 fit
+    before = time.time()
+    watching.drain()
+    record = watching.topic("/chat")
+    assert before - 0.3 <= record.observed_since <= time.time() + module.CATCH_UP
+    time.sleep(module.LONG_STALL + 0.1)
+    before = time.time()
+    watching.drain()
+    assert watching.topic("/chat").observed_since >= before, "samples of a long stall may be stamped late"
+
+
 def test_messages_are_recorded_unchanged_while_there_is_a_ring(watching, processes, eventually):
     ring = SampleRing(60.0, 1_000_000)
     watching.follow([WatchedTopic("/chat", None, 0.0, None)])  # its type is only known once somebody publishes it

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.golden import assert_golden
-from tests.unit.ros.network import Network, network
+from tests.support.network_namespaces import Network, network
 from understudy.cli.inject import network_cut
 
 pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="takes root, for network namespaces")

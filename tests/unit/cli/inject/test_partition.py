@@ -17,7 +17,7 @@ import pytest
 from tests.support import fleet
 from tests.support.fake_kubectl import FakeKubectl
 from tests.support.golden import assert_golden
-from tests.unit.ros.network import network
+from tests.support.network_namespaces import network
 from understudy.cli.inject import command as inject
 from understudy.cli.inject import partition
 

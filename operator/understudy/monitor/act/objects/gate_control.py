@@ -23,7 +23,10 @@ from understudy.monitor.observe.objects.cluster_view import ClusterView
 
 _logger = logging.getLogger(__name__)
 
-RETRY_FIRST, RETRY_MOST = 0.05, 1.0  # seconds
+RETRY_FIRST, RETRY_MOST = 0.05, 0.25  # seconds; an executing standby drives so soon after the API server is back
+
+TRY_WITHIN = 2.0
+"""Seconds after which a commit without an answer is tried again, over a new connection."""
 
 WAKING = 15.0
 """Seconds after the API server's return for which a 401 or 403 is not final: it may not have loaded the roles yet."""
@@ -110,7 +113,8 @@ class GateControl:
                 patch = self._kind.commitment(
                     workload, over=record, active=name, active_uid=uid, recovery=recovery, waits_for=waits_for
                 )
-                gate = await self._kind.write(self._client, self._view.namespace, workload, patch)
+                async with asyncio.timeout(TRY_WITHIN):
+                    gate = await self._kind.write(self._client, self._view.namespace, workload, patch)
                 break
             except ApiError as error:
                 waking = error.status in (401, 403) and time.monotonic() - away < WAKING
@@ -212,8 +216,10 @@ class GateControl:
     async def _reread(self, previous: GateRecord, uid: str, recovery: str) -> GateRecord | None:
         """Read the gate after a refused or unanswered commit, which may have been carried out. Returns None if the gate
         cannot be read; raises Superseded if another writer has changed it."""
+        name = names.gate(self._view.workload)
         try:
-            gate = await self._client.get(self._kind.resource, self._view.namespace, names.gate(self._view.workload))
+            async with asyncio.timeout(TRY_WITHIN):
+                gate = await self._client.get(self._kind.resource, self._view.namespace, name)
         except FAILURES:
             return None
         record = GateRecord.of(gate)
@@ -236,6 +242,11 @@ class GateControl:
     async def enforced(self, target: Instance, *, since: float) -> float:
         """Wait until a packet of the instance passes the gate. Returns when the first one did, in Unix seconds."""
         return await self._probes.wait(target.uid, since)
+
+    @property
+    def unanswered_since(self) -> float | None:
+        """Since when (by the event loop's clock) the API server has not answered; None while it answers."""
+        return self._client.contact.unanswered_since
 
     def last_packet(self, uid: str) -> float | None:
         """Return when a packet of a pod last passed the gate, in Unix seconds; None if none did."""

@@ -18,6 +18,8 @@ class Network:
 
     def __init__(self) -> None:
         self._holders: list[subprocess.Popen[bytes]] = []
+        self._ports: dict[str, str] = {}
+        """By address, the host's port at the switch."""
         self._switch = self._namespace()
         self._inside(self._switch, "ip", "link", "add", "br0", "type", "bridge")
         self._inside(self._switch, "ip", "link", "set", "br0", "type", "bridge", "mcast_snooping", "0")
@@ -34,7 +36,12 @@ class Network:
         self._inside(host, "ip", "addr", "add", f"{ip}/16", "dev", "eth0")
         self._inside(host, "ip", "link", "set", "eth0", "up")
         self._inside(self._switch, "ip", "link", "set", port, "master", "br0", "up")
+        self._ports[ip] = port
         return ["nsenter", f"--net=/proc/{host}/ns/net"]
+
+    def cut_off(self, ip: str) -> None:
+        """Drop everything to and from the host with this address: nobody is sent a reset."""
+        self._inside(self._switch, "ip", "link", "set", self._ports[ip], "down")
 
     def close(self) -> None:
         """End it; the namespaces go with their last process."""

@@ -1,0 +1,50 @@
+"""Whether the API server answers: recorded by the client with each request, and read by whoever must not count an outage as time.
+
+Times are of the event loop's clock.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+SLOW = 0.25
+"""Seconds without an answer after which a request under way counts as unanswered. An API server at rest answers in some milliseconds."""
+
+
+class ApiContact:
+    """The requests of one client that the API server has not answered."""
+
+    def __init__(self) -> None:
+        self._asked: dict[object, float] = {}
+        """Since when each request is under way."""
+        self._failing_since: float | None = None
+        """Since when each request that ended has ended without an answer."""
+
+    @contextmanager
+    def asking(self) -> Iterator[None]:
+        """Record a request while the context is open. It was answered if the context ends without an error.
+
+        A request that its sender cancels says nothing about the API server, unless it was under way for long.
+        """
+        loop, request = asyncio.get_running_loop(), object()
+        self._asked[request] = asked = loop.time()
+        try:
+            yield
+        except BaseException as error:
+            if isinstance(error, Exception) or loop.time() - asked >= SLOW:
+                self._failing_since = asked if self._failing_since is None else self._failing_since
+            raise
+        else:
+            self._failing_since = None
+        finally:
+            del self._asked[request]
+
+    @property
+    def unanswered_since(self) -> float | None:
+        """Since when the API server answers no request; None while it answers."""
+        if self._failing_since is not None:
+            return self._failing_since
+        oldest = min(self._asked.values(), default=None)
+        return oldest if oldest is not None and asyncio.get_running_loop().time() - oldest >= SLOW else None

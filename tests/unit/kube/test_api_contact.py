@@ -1,0 +1,59 @@
+"""Since when the API server does not answer, by the requests of a client."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+
+import pytest
+
+from understudy.kube import api_contact
+from understudy.kube.api_contact import ApiContact
+
+
+@pytest.fixture(autouse=True)
+def slow(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(api_contact, "SLOW", 0.05)
+
+
+async def fails(contact: ApiContact) -> None:
+    with contextlib.suppress(TimeoutError), contact.asking():
+        raise TimeoutError
+
+
+async def test_an_outage_begins_with_the_first_request_that_fails_and_ends_with_an_answer() -> None:
+    contact = ApiContact()
+    assert contact.unanswered_since is None
+    began = asyncio.get_running_loop().time()
+    await fails(contact)
+    await asyncio.sleep(0.01)
+    await fails(contact)
+    assert contact.unanswered_since == pytest.approx(began, abs=0.005)
+    with contact.asking():
+        pass
+    assert contact.unanswered_since is None
+
+
+async def test_a_request_that_takes_long_is_unanswered_while_it_is_under_way() -> None:
+    contact, loop = ApiContact(), asyncio.get_running_loop()
+    with contact.asking():
+        began = loop.time()
+        assert contact.unanswered_since is None
+        await asyncio.sleep(0.06)
+        assert contact.unanswered_since == pytest.approx(began, abs=0.005)
+    assert contact.unanswered_since is None
+
+
+@pytest.mark.parametrize(("after", "unanswered"), [(0.0, False), (0.06, True)])
+async def test_a_cancelled_request_counts_only_if_it_waited_for_long(after: float, unanswered: bool) -> None:
+    contact = ApiContact()
+
+    async def ask() -> None:
+        with contact.asking():
+            await asyncio.sleep(10)
+
+    asking = asyncio.create_task(ask())
+    await asyncio.sleep(after)
+    asking.cancel()
+    await asyncio.gather(asking, return_exceptions=True)
+    assert (contact.unanswered_since is not None) == unanswered
