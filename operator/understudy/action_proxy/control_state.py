@@ -39,12 +39,15 @@ class ControlState:
 
     workload: str
     epoch: int = 0
+    """Of the gate, as the monitor knows it."""
     active: str = ""
     """UID of the active instance; empty if there is none."""
     settled: bool = True
     """Whether no failure is detected and no recovery is in progress."""
     rules: tuple[TaskRule, ...] = ()
     peers: tuple[Peer, ...] = ()
+    workload_uid: str = ""
+    """UID of the RobotWorkload."""
 
     def to_wire(self) -> dict[str, Any]:
         """Return the state as one JSON object."""

@@ -12,6 +12,7 @@ from typing import Any, Protocol
 from understudy.action_proxy.client_goals import AttemptState
 from understudy.action_proxy.control_state import Peer
 from understudy.action_proxy.goal_ledger import Order
+from understudy.api.protocol.agent_messages import GateEpoch
 from understudy.kube.agent_client import AgentGone, AgentLink, AgentRefused
 
 _logger = logging.getLogger(__name__)
@@ -32,6 +33,9 @@ _STATES = {
 
 class Listener(Protocol):
     """Receives what an instance reports."""
+
+    def epoch(self) -> GateEpoch:
+        """Return the epoch of the gate as the monitor reported it last."""
 
     def orders(self, uid: str) -> Sequence[Order]:
         """Return the goals that the instance must have."""
@@ -74,6 +78,7 @@ class InstanceLink:
             peer.token.encode(),
             workload,
             peer.claim,
+            epoch=listener.epoch,
             on_change=self._changed,
             on_event=self._event,
         )

@@ -19,6 +19,7 @@ from understudy.action_proxy.control_state import ControlState, Peer, TaskRule
 from understudy.action_proxy.goal_journal import GoalJournal
 from understudy.action_proxy.goal_ledger import Answer, CancelAnswer, GoalAnswer, Order
 from understudy.action_proxy.instance_link import InstanceLink
+from understudy.api.protocol.agent_messages import GateEpoch
 from understudy.ros.actions.action_endpoints import (
     ActionServer,
     ActionType,
@@ -112,6 +113,11 @@ class Proxy:
             await link.close()
         for task in list(self._tasks):
             task.cancel()
+
+    def epoch(self) -> GateEpoch:
+        """Return the epoch of the gate as the monitor reported it last."""
+        situation = self._ledger.situation
+        return GateEpoch(situation.workload_uid, situation.epoch) if situation is not None else GateEpoch()
 
     # -- reports of instances ----------------------------------------------------------------------------------------
 

@@ -24,7 +24,7 @@ from understudy.agent.restoration.task_goals import TaskGoals
 from understudy.agent.writer_strength import WriterStrengths
 from understudy.api import names
 from understudy.api.protocol import hold_script
-from understudy.api.protocol.agent_messages import AgentStatus, Phase
+from understudy.api.protocol.agent_messages import AgentStatus, GateEpoch, Phase
 from understudy.api.protocol.kept_state import KeptState
 from understudy.kube.gates.probes import ProbeSender
 from understudy.ros.rmw import MIDDLEWARE
@@ -131,6 +131,24 @@ class Agent:
             return None
         if (workload, claim) != (self._memory.workload, self._memory.claim):
             return f"pod {self._identity.pod} is claimed by {self._memory.workload} ({self._memory.claim})"
+        return None
+
+    def outdated(self, epoch: GateEpoch) -> str | None:
+        """Why a request of this epoch may not be carried out; None if it may. Remembers the newest epoch.
+
+        A pod that nobody has claimed has no epoch yet: the requests of all workloads count until one claims it.
+        """
+        memory = self._memory
+        if self.held or (epoch.workload_uid, epoch.number) == (memory.workload_uid, memory.epoch):
+            return None
+        same = epoch.workload_uid == memory.workload_uid or not epoch.workload_uid
+        if same and epoch.number < memory.epoch:
+            return (
+                f"the request is of epoch {epoch.number} of the gate, and this agent knows epoch {memory.epoch}: another "
+                "monitor has switched the gate since"
+            )
+        memory.workload_uid, memory.epoch = epoch.workload_uid, epoch.number
+        self._save()
         return None
 
     def status(self) -> AgentStatus:
@@ -264,8 +282,11 @@ class Agent:
                 self.isolation.build(self._identity.held)
             except OSError as error:
                 raise Refused(f"cannot create the FIFOs that freeze the application: {error}") from error
+        epoch = GateEpoch.from_wire(body.get("gate"))
         bound = dataclasses.replace(
             self._memory,
+            epoch=epoch.number,
+            workload_uid=epoch.workload_uid,
             workload=peer.workload,
             claim=peer.claim,
             environment=environment,

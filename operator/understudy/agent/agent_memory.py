@@ -36,6 +36,10 @@ class AgentMemory:
     """The readiness that the request expects of a waiting instance."""
     brought: str = ""
     """The procedure that the instance completed, under the monitor's name for it."""
+    epoch: int = 0
+    """The newest epoch of the gate that a monitor of the workload has sent."""
+    workload_uid: str = ""
+    """UID of the RobotWorkload whose epoch that is."""
 
     def variables(self, containers: Sequence[str]) -> dict[str, dict[str, str]]:
         """Return the environment of each held container.

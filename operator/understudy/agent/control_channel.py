@@ -21,7 +21,7 @@ from typing import Any, Protocol
 
 from understudy.api import names
 from understudy.api.protocol import agent_messages as wire
-from understudy.api.protocol.agent_messages import AgentStatus, ProtocolError
+from understudy.api.protocol.agent_messages import AgentStatus, GateEpoch, ProtocolError
 
 _logger = logging.getLogger(__name__)
 
@@ -78,6 +78,9 @@ class AgentInterface(Protocol):
 
     def refuses(self, workload: str, claim: str) -> str | None:
         """Return why a monitor may not command this pod; None if it may."""
+
+    def outdated(self, epoch: GateEpoch) -> str | None:
+        """Why a request of this epoch may not be carried out; None if it may. Remembers the newest epoch."""
 
     def status(self) -> AgentStatus:
         """Return the state of the instance."""
@@ -315,6 +318,8 @@ class ControlChannel:
                 return {"id": number, "ok": True, "status": self._served.status().to_wire()}
             if not isinstance(op, str) or op not in operations:
                 raise Refused(f"unknown op {op!r}; there are {', '.join(operations)} and status")
+            if (reason := self._served.outdated(GateEpoch.from_wire(request.get("gate")))) is not None:
+                raise Refused(reason)
             found = await operations[op](request, peer)
         except Refused as error:
             return {"id": number, "error": str(error)}

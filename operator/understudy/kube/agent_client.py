@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from understudy.api.protocol import agent_messages as wire
-from understudy.api.protocol.agent_messages import AgentStatus, ProtocolError
+from understudy.api.protocol.agent_messages import AgentStatus, GateEpoch, ProtocolError
 
 _logger = logging.getLogger(__name__)
 
@@ -49,16 +49,19 @@ class AgentLink:
         workload: str,
         claim: str,
         *,
+        epoch: Callable[[], GateEpoch] = GateEpoch,
         on_change: Callable[[AgentLink], None] | None = None,
         on_event: Callable[[AgentLink, Mapping[str, Any]], None] | None = None,
     ) -> None:
         """Start to connect to an agent.
 
+        ``epoch`` returns the epoch of the gate as this side knows it, which every request carries.
         ``on_change`` is called with each status, and when the connection is made or lost; ``on_event`` with each event.
         Events that happen while there is no connection are lost. A caller that depends on them must ask again after
         reconnecting.
         """
         self.host, self.port, self.workload, self.claim = host, port, workload, claim
+        self._epoch = epoch
         self.token = token
         """The secret shared with the agent. A change takes effect with the next session."""
         self._on_change, self._on_event = on_change, on_event
@@ -162,17 +165,19 @@ class AgentLink:
         state: Mapping[str, Any] | None = None,
         brought: str = "",
         places: Mapping[str, str] | None = None,
+        epoch: GateEpoch | None = None,
     ) -> Mapping[str, Any]:
         """Run a procedure on the agent's instance for at most ``within`` seconds.
 
-        It replaces a procedure that is running. ``state`` is kept state in its wire form for the procedure's leaves. The agent remembers
-        the success under the name ``brought``. ``places`` has the positions of the nodes in the text, if it is not in the short form. The
-        answer reports the outcome of the state. Raises AgentRefused with the reason if the procedure failed, and AgentGone.
+        It replaces a procedure that is running. ``state`` is kept state in its wire form for the procedure's leaves.
+        The agent remembers the success under the name ``brought``. ``places`` has the positions of the nodes in the text,
+        if it is not in the short form. ``epoch`` is that of the decision, if it is not the present one. The answer reports the
+        outcome of the state. Raises AgentRefused with the reason if the procedure failed, and AgentGone.
         """
         body: dict[str, Any] = {"tree": tree, "within": within, "name": name, "state": state, "as": brought}
         if places:
             body["places"] = places
-        answer = await self.request("procedure", body, within=within + ANSWER)
+        answer = await self.request("procedure", body, within=within + ANSWER, epoch=epoch)
         found: Mapping[str, Any] = answer.get("report") or {}
         return found
 
@@ -182,8 +187,12 @@ class AgentLink:
         with contextlib.suppress(asyncio.CancelledError):
             await self._task
 
-    async def request(self, op: str, body: Mapping[str, Any], *, within: float = ANSWER) -> dict[str, Any]:
+    async def request(
+        self, op: str, body: Mapping[str, Any], *, within: float = ANSWER, epoch: GateEpoch | None = None
+    ) -> dict[str, Any]:
         """Request an operation and wait at most ``within`` seconds for the answer.
+
+        ``epoch`` is that of the decision, if it is not the present one.
 
         Raises AgentRefused and AgentGone.
         """
@@ -191,7 +200,7 @@ class AgentLink:
         if writer is None:
             raise AgentGone(f"agent {self.host}: {self.problem}")
         number = next(self._numbers)
-        line = wire.encode({"id": number, "op": op, **body})
+        line = wire.encode({"id": number, "op": op, "gate": (epoch or self._epoch()).to_wire(), **body})
         answer: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
         self._answers[number] = answer
         try:

@@ -1,7 +1,7 @@
 """The messages between the monitor and an agent, and how the monitor proves that it may command the agent.
 
 TCP, one JSON object per line. The agent speaks first: ``{"nonce", "pod", "uid", "version"}``. The monitor answers
-``{"workload", "claim", "mac"}``, and from then on sends requests ``{"id", "op", ...}``, each answered by
+``{"workload", "claim", "mac"}``, and from then on sends requests ``{"id", "op", "gate", ...}``, each answered by
 ``{"id", "ok": true, ...}`` or ``{"id", "error"}``, in the order in which they are completed. In between, the agent
 sends ``{"status": ...}`` on every change and once a second, so that silence means that the connection is lost, and
 ``{"event": ...}`` for events such as the feedback of a goal.
@@ -75,6 +75,33 @@ def decode(line: bytes) -> dict[str, Any]:
     if not isinstance(message, dict):
         raise ProtocolError(f"a message is a JSON object, not {type(message).__name__}")
     return message
+
+
+@dataclass(frozen=True)
+class GateEpoch:
+    """The epoch of a workload's gate, as the sender of a request knows it: the request's field ``gate``.
+
+    An agent refuses requests with an older epoch than it has received before, because another monitor has switched the
+    gate since. Monitors before version 0.3 send none, which counts as epoch 0.
+    """
+
+    workload_uid: str = ""
+    """UID of the RobotWorkload. Epochs of another workload of the same name begin again."""
+    number: int = 0
+
+    def to_wire(self) -> dict[str, Any]:
+        """Return the field for the wire."""
+        return {"workload": self.workload_uid, "epoch": self.number}
+
+    @classmethod
+    def from_wire(cls, data: object) -> GateEpoch:
+        """Return the epoch in a request's field; epoch 0 if the field is missing or invalid."""
+        if not isinstance(data, dict):
+            return cls()
+        uid, number = data.get("workload"), data.get("epoch")
+        if not isinstance(uid, str) or not isinstance(number, int) or isinstance(number, bool):
+            return cls()
+        return cls(uid, number)
 
 
 @dataclass(frozen=True)

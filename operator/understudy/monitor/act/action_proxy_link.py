@@ -134,6 +134,7 @@ class ActionProxyLink:
                 )
         return {
             "workload": self._view.workload,
+            "workload_uid": settings.uid if settings is not None else "",
             "epoch": state.epoch,
             "active": state.active_uid,
             "settled": settled(self._notices.status.health, self._fleet.find(state.active_uid)),

@@ -5,18 +5,20 @@ from __future__ import annotations
 import asyncio
 import base64
 import logging
+import math
 import time
 from collections.abc import Coroutine, Mapping, Sequence
 from typing import Any
 
 from understudy.api import names
 from understudy.api.base import seconds
-from understudy.api.protocol.agent_messages import RENEW_PERMIT, AgentStatus, ProtocolError
+from understudy.api.protocol.agent_messages import RENEW_PERMIT, AgentStatus, GateEpoch, ProtocolError
 from understudy.api.protocol.kept_state import LARGEST, KeptState, RestoreReport
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotVerified
 from understudy.kube.agent_client import AgentGone, AgentLink, AgentRefused
 from understudy.kube.client import FAILURES, SECRETS, Client
+from understudy.kube.gates.base import GateRecord
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.observe.instance_roles import InstanceRoles
 from understudy.monitor.observe.objects.cluster_view import ClusterView
@@ -35,6 +37,18 @@ ANSWER_LATE = 1.0
 
 READ_AGAIN = 10.0
 """Minimum seconds between two reads of a Secret whose token an agent refuses: the Secret may have changed since."""
+
+CONFIRMED_FOR = 3.0
+"""Seconds for which an answer of the API server about the gate counts before an agent is commanded.
+
+A monitor that the API server does not answer may have a successor that has switched the gate. It commands nobody.
+"""
+
+CONFIRM_WITHIN = 2.0
+"""Seconds for one such answer."""
+
+RETRY_API = 0.25
+"""Seconds before an API server that did not answer is asked again."""
 
 SLOWEST = 2 * 1024 * 1024
 """Minimum rate at which an agent receives kept messages, in bytes per second. The agent's own deadline starts only when it has
@@ -63,6 +77,7 @@ class AgentConnections:
         self._configured: dict[str, object] = {}
         self._instances: dict[str, Instance] = {}
         self._driving: dict[str, str] = {}
+        self._confirmed_at = -math.inf
         self._tasks: set[asyncio.Task[Any]] = set()
 
     def follow(self, instances: Sequence[Instance]) -> None:
@@ -115,9 +130,52 @@ class AgentConnections:
                 token,
                 self._view.workload,
                 instance.claim,
+                epoch=self._epoch,
                 on_change=lambda link: self._changed(instance.uid, link),
             )
         return self._links[instance.uid]
+
+    def _epoch(self) -> GateEpoch:
+        """Return the epoch of the gate as this monitor knows it."""
+        gate, settings = self._view.gates.items.get(names.gate(self._view.workload)), self._view.settings
+        if gate is None or settings is None:
+            return GateEpoch()
+        return GateEpoch(settings.uid, GateRecord.of(gate).epoch)
+
+    async def _confirm(self, epoch: GateEpoch) -> None:
+        """Ask the API server whether the gate is still at the epoch of a decision, unless it has just answered that.
+
+        Raises AgentGone if it does not answer, NotVerified if somebody has switched the gate since.
+        """
+        if time.monotonic() - self._confirmed_at >= CONFIRMED_FOR:
+            asked, name = time.monotonic(), names.gate(self._view.workload)
+            try:
+                async with asyncio.timeout(CONFIRM_WITHIN):
+                    gate = await self._client.get(self._view.gate_kind.resource, self._view.namespace, name)
+            except FAILURES as error:
+                raise AgentGone(
+                    f"not commanded, because the API server does not confirm the gate: {error!r}"
+                ) from error
+            self._view.gates.put(gate)
+            self._confirmed_at = asked
+        if (present := self._epoch()) != epoch:
+            raise NotVerified(
+                f"the gate was switched meanwhile (epoch {present.number}); the decision was of epoch {epoch.number}"
+            )
+
+    async def _wait_confirmed(self, epoch: GateEpoch) -> float:
+        """Wait until the API server confirms the epoch of a decision. Returns how many seconds it did not answer.
+
+        Raises NotVerified if somebody has switched the gate since.
+        """
+        started_at = time.monotonic()
+        while True:
+            try:
+                await self._confirm(epoch)
+                return time.monotonic() - started_at
+            except AgentGone as error:
+                _logger.warning("agents are %s", error)
+                await asyncio.sleep(RETRY_API)
 
     async def token(self, instance: Instance) -> bytes | None:
         """Return the token that an instance's agent accepts; None while the Secret cannot be read."""
@@ -184,10 +242,11 @@ class AgentConnections:
             )
         if uid in self._driving:
             standby = None
-        return policy.monitoring, spec.outputs, standby, managed
+        # With each epoch again, so that agents refuse what a monitor without contact to the API server decided before.
+        return policy.monitoring, spec.outputs, standby, managed, self._epoch().number
 
     async def _send_settings(self, link: AgentLink, wanted: tuple[Any, ...]) -> None:
-        monitoring, outputs, standby, managed = wanted
+        monitoring, outputs, standby, managed, _ = wanted
         await link.configure(
             monitoring.tree,
             [output.to_wire() for output in outputs],
@@ -256,12 +315,15 @@ class AgentConnections:
     async def renew_permit(self, instance: Instance, body: Mapping[str, Any]) -> None:
         """Send an agent the addresses that may answer its instance, and the order for the instance if it is frozen.
 
-        Raises AgentGone, AgentRefused.
+        A held instance continues only if the API server confirms the decision. Raises AgentGone, AgentRefused, NotVerified.
         """
         link = self._links.get(instance.uid)
         if link is None:
             raise AgentGone(f"{instance.name}: its agent is not connected")
-        await link.request(RENEW_PERMIT, body, within=ANSWER_LATE)
+        epoch = self._epoch()
+        if body.get("word") == "Go":
+            await self._confirm(epoch)
+        await link.request(RENEW_PERMIT, body, within=ANSWER_LATE, epoch=epoch)
 
     async def start(self, instance: Instance) -> None:
         """Start the held processes of a claimed instance with this robot's settings. May be repeated."""
@@ -321,16 +383,23 @@ class AgentConnections:
         """
         if procedure.problem:
             raise NotVerified(procedure.problem)
-        loop = asyncio.get_running_loop()
+        loop, epoch = asyncio.get_running_loop(), self._epoch()
         end, problem = loop.time() + within, "its agent is not connected"
         wire = await asyncio.to_thread(state.to_wire) if state or state.left_out else None
         while (rest := end - loop.time()) > 0:
             try:
                 async with asyncio.timeout(rest):
                     link = await self._connected(instance)
+                end += await self._wait_confirmed(epoch)
                 rest = max(0.1, end - loop.time())
                 answer = await link.procedure(
-                    procedure.tree, rest, name=procedure.name, state=wire, brought=brought, places=procedure.places
+                    procedure.tree,
+                    rest,
+                    name=procedure.name,
+                    state=wire,
+                    brought=brought,
+                    places=procedure.places,
+                    epoch=epoch,
                 )
                 return RestoreReport.from_wire(answer)
             except (AgentRefused, ProtocolError) as error:
@@ -350,18 +419,20 @@ class AgentConnections:
 
     async def _give(self, instance: Instance, state: KeptState, end: float) -> RestoreReport:
         """Restore a part of the state that fits into one request, until ``end`` by the loop's clock."""
-        loop = asyncio.get_running_loop()
+        loop, epoch = asyncio.get_running_loop(), self._epoch()
         started_at, problem = loop.time(), "its agent is not connected"
         wire = await asyncio.to_thread(state.to_wire)
         while (rest := end - loop.time()) > 0:
             try:
                 async with asyncio.timeout(rest):
                     link = await self._connected(instance)
+                end += await self._wait_confirmed(epoch)
                 rest = max(0.1, end - loop.time())
                 late = ANSWER_LATE + state.size / SLOWEST
-                answer = await link.request("restore", {"state": wire, "within": rest}, within=rest + late)
+                body = {"state": wire, "within": rest}
+                answer = await link.request("restore", body, within=rest + late, epoch=epoch)
                 return RestoreReport.from_wire(answer.get("report", {}))
-            except (AgentRefused, ProtocolError) as error:
+            except (AgentRefused, NotVerified, ProtocolError) as error:
                 return state.none_restored(str(error))
             except (AgentGone, TimeoutError) as error:
                 problem = str(error) or problem

@@ -19,7 +19,7 @@ from typing import Any, Literal
 
 from understudy.api import names
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
-from understudy.failover.interfaces import GateState, Instance
+from understudy.failover.interfaces import GateState, Instance, NotVerified
 from understudy.failover.progress import Progress
 from understudy.kube.agent_client import AgentGone, AgentRefused
 from understudy.kube.client import FAILURES, PODS, Object
@@ -239,8 +239,8 @@ class Permits:
     async def _request(self, instance: Instance, body: dict[str, Any]) -> None:
         try:
             await self._agents.renew_permit(instance, body)
-        except AgentGone as error:
-            _logger.info("%s", error)
+        except (AgentGone, NotVerified) as error:
+            _logger.info("%s: %s", instance.name, error)
             self._sent.pop(instance.uid, None)
         except AgentRefused as error:
             _logger.warning("%s", error)
