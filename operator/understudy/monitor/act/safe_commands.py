@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import Safety
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+from understudy.failover.interfaces import Outputs
 from understudy.failover.progress import Progress
 from understudy.monitor.decide.pause_state import PauseState
 from understudy.monitor.observe.current_recovery import CurrentRecovery
@@ -27,8 +28,15 @@ from understudy.ros.runtime.message_values import MessageError
 
 _logger = logging.getLogger(__name__)
 
-CLOSED, OPENED, DRIVEN = "fenced", "committing", ("first_output", "verified")
-"""The moments of a recovery that begin a time in which no instance drives, and those that end it."""
+CLOSED, OPENED, DRIVEN = "fenced", "committed", ("first_output", "verified")
+"""The moments of a recovery that begin a time in which no instance drives, and those that end it. Those of the gate are of
+acknowledged commits."""
+
+HEARD_FOR = 0.25
+"""Seconds after a sample of any instance for which no safe command is sent, whatever the moments say.
+
+The gate may have opened before the API server's answer arrives, or an instance may get through that should not.
+"""
 
 
 class Unattended:
@@ -74,8 +82,8 @@ class Unattended:
 class SafeCommands:
     """The publishers of a policy's safe commands."""
 
-    def __init__(self, graph: Graph, unattended: Unattended) -> None:
-        self._graph, self._unattended = graph, unattended
+    def __init__(self, graph: Graph, unattended: Unattended, outputs: Outputs) -> None:
+        self._graph, self._unattended, self._outputs = graph, unattended, outputs
         self._followed: tuple[Safety | None, list[tuple[str, str]], bool] = (None, [], False)
         self._commanders: list[Commander] = []
         self._tasks: list[asyncio.Task[None]] = []
@@ -125,9 +133,14 @@ class SafeCommands:
                 started_at = loop.time()
                 wait = begins - started_at
                 if wait <= 0:
-                    failing = self._publish(commander, failing)
+                    if not self._is_driven():
+                        failing = self._publish(commander, failing)
                     wait = max(0.0, started_at + period - loop.time())
             await asyncio.sleep(min(wait, period) if wait > 0 else 0)
+
+    def _is_driven(self) -> bool:
+        """Whether an instance was heard a moment ago. A time in the future is of a clock that was set back since."""
+        return 0 <= time.time() - self._outputs.last_from_others(None)[0] < HEARD_FOR
 
     def _publish(self, commander: Commander, failing: bool) -> bool:
         """Publish once. Returns whether that failed. An error is not raised, because nobody else commands the robot and

@@ -41,7 +41,9 @@ class ActStage:
         options, limits, current = decide.options, decide.limits, senses.current
         self.state_manager = state_manager
         self.unattended = Unattended(cluster.view, limits.pauses, current)
-        self.safety = SafeCommands(senses.observer.graph, self.unattended)
+        self.safety = SafeCommands(
+            senses.observer.graph, self.unattended, senses.observer.outputs(cluster.pods, cluster.gate)
+        )
         self.garbage = GarbageCollection(cluster.pods, cluster.gate, notices)
         self.abandonment = Abandonment(cluster.gate, journal, notices)
         self.switchovers = PlannedSwitchovers(cluster, options, state_manager, current, self.garbage, notices)

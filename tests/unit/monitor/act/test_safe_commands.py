@@ -16,9 +16,10 @@ pytest.importorskip("rclpy")
 
 from tests.unit.dds import isolate_discovery
 from tests.unit.monitor.cluster_objects import TWIST, ClusterObjects, parsed_spec
-from tests.unit.monitor.senses import GivenGraph
+from tests.unit.monitor.senses import GivenGraph, NoOutputs
 from understudy.api.kinds.failure_policy import Safety
 from understudy.api.kinds.robot_workload import Attempt, RobotWorkloadSpec
+from understudy.failover.interfaces import Instance, Outputs
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.monitor.act import safe_commands
 from understudy.monitor.act.safe_commands import SafeCommands, Unattended
@@ -62,16 +63,19 @@ class TestUnattended:
     def test_safe_commands_begin_when_the_gate_closes_and_again_when_it_opens(self) -> None:
         found = Waits()
         assert found.during(progress(fenced=101.0)) == 101.0
-        assert found.during(progress(fenced=101.0, committing=105.0)) == 105.0, "whom it names has its time too"
+        assert found.during(progress(fenced=101.0, committed=105.0)) == 105.0, "whom it names has its time too"
+
+    def test_a_commit_that_the_api_server_has_not_acknowledged_begins_no_safe_commands(self) -> None:
+        assert Waits().during(progress(committing=105.0)) is None
 
     def test_the_first_output_ends_safe_commands(self) -> None:
         found = Waits()
         found.during(progress(fenced=101.0))
-        assert found.during(progress(fenced=101.0, committing=105.0, first_output=105.1)) is None
+        assert found.during(progress(fenced=101.0, committed=105.0, first_output=105.1)) is None
         assert found.after is None
 
     def test_the_next_attempt_continues_the_safe_commands(self) -> None:
-        found, under_way = Waits(), progress(fenced=101.0, committing=105.0)
+        found, under_way = Waits(), progress(fenced=101.0, committed=105.0)
         found.during(under_way)
         under_way.attempts.append(Attempt(strategy="Fallback/Executing", result="NotVerified"))
         under_way.forget_attempt()
@@ -100,7 +104,7 @@ class TestUnattended:
 
     @given(
         st.lists(
-            st.sampled_from(["fenced", "committing", "first_output", "verified", "fail", "forget", "driven"]),
+            st.sampled_from(["fenced", "committed", "first_output", "verified", "fail", "forget", "driven"]),
             max_size=12,
         )
     )
@@ -171,7 +175,7 @@ async def test_the_robot_receives_safe_commands_at_their_period_until_an_instanc
     monitor, robot = graphs
     subscription = robot.subscribe("/cmd_vel", TWIST, depth=100)
     waited = Waiting(None)
-    safe = SafeCommands(monitor, waited)
+    safe = SafeCommands(monitor, waited, NoOutputs())
     command = {"topic": "/cmd_vel", "every": "20ms", "message": {"linear": {"x": -0.1}}}
     safe.follow(safety(command, after="200ms"), spec())
     assert safe.problems == []
@@ -208,7 +212,7 @@ async def test_the_robot_receives_safe_commands_at_their_period_until_an_instanc
 async def test_a_safe_command_that_cannot_be_sent_is_reported(
     graphs: tuple[Any, Any], command: dict[str, Any], reflex: bool, words: str
 ) -> None:
-    safe = SafeCommands(graphs[0], Waiting(1.0))
+    safe = SafeCommands(graphs[0], Waiting(1.0), NoOutputs())
     safe.follow(safety(command), spec(reflex=reflex))
     (problem,) = safe.problems
     assert problem.startswith("FailurePolicy: spec.safety.commands[0]: ")
@@ -221,7 +225,7 @@ async def test_a_topic_that_is_watched_with_another_type_is_reported(
     graphs: tuple[Any, Any],
 ) -> None:
     watched = graphs[0].subscribe("/cmd_vel", "geometry_msgs/msg/TwistStamped", depth=1)
-    safe = SafeCommands(graphs[0], Waiting(1.0))
+    safe = SafeCommands(graphs[0], Waiting(1.0), NoOutputs())
     safe.follow(safety({"topic": "/cmd_vel"}), spec())
     (problem,) = safe.problems
     assert problem.startswith("FailurePolicy: spec.safety.commands[0]: ")
@@ -245,10 +249,10 @@ class Publisher(Commander):
 
 
 @contextlib.asynccontextmanager
-async def repeated(since: float) -> AsyncIterator[Publisher]:
+async def repeated(since: float, outputs: Outputs | None = None) -> AsyncIterator[Publisher]:
     """A command of every 10 ms from 50 ms on, for as long as nobody drives."""
     publisher = Publisher()
-    safe = SafeCommands(GivenGraph(), Waiting(since))
+    safe = SafeCommands(GivenGraph(), Waiting(since), outputs or NoOutputs())
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(safe_commands, "Commander", lambda *_: publisher)
         safe.follow(safety({"topic": "/cmd_vel", "every": "10ms"}, after="50ms"), spec())
@@ -280,3 +284,32 @@ async def test_a_clock_of_another_node_that_is_ahead_does_not_delay_safe_command
         while not publisher.sent:
             await asyncio.sleep(0.005)
         assert time.monotonic() - started_at >= 0.045
+
+
+class Heard(NoOutputs):
+    """One instance was heard at a time."""
+
+    def __init__(self, at: float) -> None:
+        self.at = at
+
+    def last_from_others(self, instance: Instance | None) -> tuple[float, str]:
+        return self.at, "w-1"
+
+
+async def test_no_safe_command_is_sent_while_an_instance_is_heard() -> None:
+    outputs = Heard(time.time())
+    async with repeated(time.time() - 1, outputs) as publisher, asyncio.timeout(20):
+        for _ in range(30):
+            outputs.at = time.time()
+            await asyncio.sleep(0.01)
+        assert publisher.sent == 0
+        silent_since = time.monotonic()
+        while not publisher.sent:
+            await asyncio.sleep(0.005)
+        assert time.monotonic() - silent_since >= safe_commands.HEARD_FOR - 0.02
+
+
+async def test_an_instance_that_was_heard_before_the_clock_was_set_back_does_not_hold_safe_commands() -> None:
+    async with repeated(time.time() - 1, Heard(time.time() + 3600)) as publisher, asyncio.timeout(20):
+        while not publisher.sent:
+            await asyncio.sleep(0.005)

@@ -292,13 +292,15 @@ class GatedReaders:
         record = self._watching.topic(topic)
         return record.last if record is not None and record.last is not None and record.last >= since else None
 
-    def last_from_others(self, instance: Instance) -> tuple[float, str]:
-        """Return when a sample of another instance last passed the gate, in Unix seconds (0 if never), and from which pod."""
+    def last_from_others(self, instance: Instance | None) -> tuple[float, str]:
+        """Return when a sample of another instance (of any instance if None) last passed the gate, and from which pod.
+
+        The time is in Unix seconds; 0 if never.
+        """
         self._drain()
+        name = instance.name if instance is not None else ""
         found = [
-            last
-            for topic in self._observer.gated
-            if (last := self._watching.last_from_others(topic, instance.name)) is not None
+            last for topic in self._observer.gated if (last := self._watching.last_from_others(topic, name)) is not None
         ]
         return max(found, default=(0.0, ""))
 
