@@ -46,6 +46,13 @@ STALL = 0.25
 """Maximum seconds between two drains that a queue must bridge: several ticks, since a busy node may delay this
 process."""
 
+LONG_STALL = 1.0
+"""Seconds between two drains after which samples count as lost, or as stamped late, even if their sequence numbers have no gap."""
+
+CATCH_UP = 0.25
+"""Seconds after a stall for which samples of the stall may still arrive: from the socket's buffer, and from writers that
+send again."""
+
 USUAL_RATE = 50.0
 """Messages per second for which a queue is sized if the tree does not give a rate."""
 
@@ -88,15 +95,17 @@ class SourceRecord(TopicRecord):
         self.sequences: dict[bytes, int] = {}
         """The last sequence number of each of the host's writers, by GID."""
 
-    def number(self, gid: bytes, sequence: int) -> None:
-        """Note a sample's sequence number, and the missing ones before it."""
+    def number(self, gid: bytes, sequence: int) -> bool:
+        """Note a sample's sequence number. Returns whether numbers are missing before it."""
         before = self.sequences.get(gid)
+        missing = before is not None and sequence > before + 1
         if before is None:
             if len(self.sequences) >= MOST_WRITERS:
                 self.sequences.clear()
-        elif sequence > before + 1:
+        elif missing:
             self.lost += sequence - before - 1
         self.sequences[gid] = sequence
+        return missing
 
 
 @dataclass
@@ -155,6 +164,8 @@ class TopicWatch:
         self._next_look_up = 0.0
         self._clock = _offset()
         self._drained = time.time()
+        self._drained_at = time.monotonic()
+        self._losing_until = self._observed_since = -math.inf
 
     # -- topics ------------------------------------------------------------------------------------------------------
 
@@ -340,6 +351,7 @@ class TopicWatch:
             topic.counted = accepted[0]
             return
         counted = topic.counted = TopicRecord(topic.want.window, topic.want.contents)
+        counted.observed_since = self._observed_since
         for arrival in sorted(arrival for source in accepted for arrival in source.arrivals):
             counted.add(arrival)
         counted.count = sum(source.count for source in accepted)
@@ -352,6 +364,11 @@ class TopicWatch:
         """Take all samples that have arrived, and return their number."""
         low, high = self._set_clock()
         now = time.monotonic()
+        if now - self._drained_at > LONG_STALL:
+            self._note_stall()
+        elif now - self._drained_at > STALL:
+            self._losing_until = now + CATCH_UP
+        self._drained_at = now
         if now >= self._next_look_up:
             self._next_look_up = now + TYPE_CHECK_PERIOD
             self._find_types()
@@ -367,6 +384,13 @@ class TopicWatch:
         self._drained = time.time()
         return taken
 
+    def _note_stall(self) -> None:
+        """Note that samples since the last drain may be lost, or stamped late."""
+        self._observed_since = time.time() + CATCH_UP
+        for topic in self._topics.values():
+            for record in (topic.counted, *topic.sources.values()):
+                record.observed_since = self._observed_since
+
     def _drain(self, topic: _Topic, low: float, high: float) -> int:
         take, sources, handle = self._taker.take, topic.sources, topic.subscription.handle
         bounded = low > -math.inf
@@ -376,6 +400,7 @@ class TopicWatch:
         task, wanted = topic.want.task, topic.want.contents
         mixed, track = topic.mixed, topic.track
         needed = None if topic.want.whole else HEAD
+        losing = self._drained_at < self._losing_until
         with handle:
             pointer = handle.pointer
             while taken < most and (sample := take(pointer, with_data=task)) is not None:
@@ -388,7 +413,8 @@ class TopicWatch:
                     track.add(received, sent, sequence, data or self._taker.data())
                 source = sources.get(MIDDLEWARE.host_of(gid)) or self._new_source(topic, MIDDLEWARE.host_of(gid))
                 source.add(received)
-                source.number(gid, sequence)
+                if source.number(gid, sequence) and losing:
+                    source.observed_since = topic.counted.observed_since = received
                 if source.accepted and topic.counted is not source:
                     topic.counted.add(received)
                 if wanted:
@@ -406,6 +432,7 @@ class TopicWatch:
             del topic.sources[old]
         source = topic.sources[host] = SourceRecord(max(topic.want.window, HISTORY), topic.want.contents)
         source.accepted = self._accepted(host)
+        source.observed_since = self._observed_since
         self._count_again(topic)
         return source
 
@@ -420,6 +447,7 @@ class TopicWatch:
             return -math.inf, math.inf
         _logger.warning("the system clock jumped by %+.3f s; the receive times are corrected by the same amount", step)
         self._drained += step
+        self._observed_since += step
         self._presence.shift(step)
         self._inhabitants.shift(step)
         self._lifecycles.shift(step)

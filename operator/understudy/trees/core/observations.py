@@ -159,7 +159,7 @@ GAPS = 60.0
 class TopicRecord:
     """When a topic was received. Times are Unix seconds."""
 
-    __slots__ = ("_gap", "_gap_before", "_until", "arrivals", "contents", "count", "last", "window")
+    __slots__ = ("_gap", "_gap_before", "_until", "arrivals", "contents", "count", "last", "observed_since", "window")
 
     def __init__(self, window: float = 0.0, contents: int = 0) -> None:
         """``contents`` is the number of last messages that are kept for evaluation."""
@@ -173,6 +173,8 @@ class TopicRecord:
         """Times within the window, oldest first, and one before it, which shows that the window has been full."""
         self.contents: deque[Content] = deque(maxlen=contents)
         """The last messages, oldest first."""
+        self.observed_since = -math.inf
+        """Since when no sample can be missing because the observer was stalled. A rate counts from then on only."""
         self._gap, self._gap_before, self._until = 0.0, 0.0, 0.0
 
     def longest_gap(self, now: float) -> float | None:
@@ -206,6 +208,7 @@ class TopicRecord:
         if self.last is not None:
             self.last += seconds
         self._until += seconds
+        self.observed_since += seconds
         self.arrivals = deque(time + seconds for time in self.arrivals)
         for content in self.contents:
             content.received += seconds

@@ -22,7 +22,8 @@ class TopicLeaf(Leaf):
     - Rate: failed while the count in a full window is outside the band.
 
     Before the first sample, and for a rate until the band has held for the first time, the leaf is starting until the
-    grace ends. A rate is always starting until a window has passed since the first sample.
+    grace ends. A rate is always starting until a window has passed since the first sample. After a stall of the
+    observer, which loses samples, a rate is judged again when a window has passed: until then it counts as before.
     """
 
     def __init__(self, place: LeafPlace, topic: str, gap: float | None, window: Window | None) -> None:
@@ -63,9 +64,11 @@ class TopicLeaf(Leaf):
         until = record.last + self.gap if self.gap is not None else math.inf
         if self.window is not None:
             arrivals = self._arrivals(record)
-            if now < self.window.leaves(arrivals[0]) or self.window.exceeded(arrivals, now):
+            if self._rate_state(self.window) != "Healthy":
                 return None
-            until = min(until, self.window.until(arrivals))
+            judged = self.window.leaves(record.observed_since)
+            exceeds = now < judged and self.window.exceeded(arrivals, judged)
+            until = min(until, judged if exceeds else max(judged, self.window.until(arrivals)))
         return until if now < until else None
 
     def changes(self) -> list[float]:
@@ -75,13 +78,13 @@ class TopicLeaf(Leaf):
         if self.tasks and (found := task_timing(self.tasks, self._evaluation)) is not None:
             moments += [found.settled]
             moments += [self._gap_limit(found, record)] if self.gap is not None else []
-            moments += [self._judged_from(found, self.window)] if self.window is not None else []
+            moments += [self._judged_from(found, record, self.window)] if self.window is not None else []
         if record is not None and record.last is not None:
             if self.gap is not None:
                 moments.append(record.last + self.gap)
             if self.window is not None:
                 arrivals = self._arrivals(record)
-                moments.append(self.window.leaves(arrivals[0]))
+                moments += [self.window.leaves(arrivals[0]), self.window.leaves(record.observed_since)]
                 moments.extend(self.window.changes(arrivals))
         return [moment for moment in moments if moment > self._evaluation.now]
 
@@ -124,7 +127,7 @@ class TopicLeaf(Leaf):
             failed.append(evaluation.now >= self._gap_limit(found, record))
         if self.window is not None:
             arrivals = self._task_arrivals(found, record)
-            unjudged = evaluation.now < self._judged_from(found, self.window)
+            unjudged = evaluation.now < self._judged_from(found, record, self.window)
             failed.append(not unjudged and not self.window.holds(arrivals, evaluation.now))
         if not any(failed):
             return "Healthy"
@@ -142,7 +145,7 @@ class TopicLeaf(Leaf):
         if self.gap is not None:
             until = self._gap_limit(found, record)
         if self.window is not None:
-            arrivals, judged = self._task_arrivals(found, record), self._judged_from(found, self.window)
+            arrivals, judged = self._task_arrivals(found, record), self._judged_from(found, record, self.window)
             if self._evaluation.now < judged and self.window.exceeded(arrivals, judged):
                 return min(until, judged)
             until = min(until, max(judged, self.window.until(arrivals)))
@@ -160,10 +163,11 @@ class TopicLeaf(Leaf):
         active_since = found.active if found.active >= self._evaluation.since else -math.inf
         return max(found.settled, max(last, active_since) + self.gap)
 
-    def _judged_from(self, found: TaskTiming, window: Window) -> float:
+    def _judged_from(self, found: TaskTiming, record: TopicRecord | None, window: Window) -> float:
         """Return when a rate is judged for the first time: one window after the messages that it counts could have
-        started."""
-        return window.leaves(max(found.settled, found.active, self._evaluation.since))
+        started, or after the observer was stalled."""
+        observed = record.observed_since if record is not None else -math.inf
+        return window.leaves(max(found.settled, found.active, self._evaluation.since, observed))
 
     def _task_arrivals(self, found: TaskTiming, record: TopicRecord | None) -> Sequence[float]:
         """Return the instance's arrivals since the task became active."""
@@ -182,6 +186,8 @@ class TopicLeaf(Leaf):
         arrivals = self._arrivals(record)
         if evaluation.now < window.leaves(arrivals[0]):
             return "Starting"
+        if evaluation.now < window.leaves(record.observed_since):
+            return "Healthy" if self._held == evaluation.since else "Starting"
         if window.holds(arrivals, evaluation.now):
             return "Healthy"
         return "Starting" if in_grace and self._held != evaluation.since else "Failed"
