@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import Any, cast
 
 from tests.unit.controller.world import hot, standby_pod, workload
+from understudy.api import names
+from understudy.controller.observed import kube_objects
 from understudy.controller.reconcile.change_index import Key
 from understudy.controller.reconcile.expectations import Expectations
 from understudy.controller.reconcile.object_store import Store
@@ -29,3 +31,13 @@ async def test_a_standby_that_appears_while_a_deployment_is_read_counts_once() -
     assert len(observed.pods) + observed.expected["hot"] == 1
     again = await Observer(cast(Client, Slow()), store, expectations).workload(item)
     assert (len(again.pods), again.expected["hot"]) == (1, 0)
+
+
+async def test_a_standby_without_its_label_is_still_observed_by_its_owner() -> None:
+    store, item = Store(), workload("w")
+    store.put(WORKLOADS, item)
+    standby = standby_pod("w-1", of=item)
+    del standby["metadata"]["labels"][names.WORKLOAD]
+    store.put(PODS, standby)
+    observed = await Observer(cast(Client, None), store, Expectations()).workload(item)
+    assert [kube_objects.name(pod) for pod in observed.pods] == ["w-1"]

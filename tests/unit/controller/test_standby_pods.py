@@ -22,6 +22,8 @@ from tests.unit.controller.world import (
     workload,
 )
 from understudy.api import names
+from understudy.controller.desired import workload_objects
+from understudy.controller.observed.workload_reference import ReferencedObjects
 from understudy.failover.progress import Progress
 from understudy.kube.client import Object
 
@@ -326,3 +328,36 @@ class TestReplicas:
     @pytest.mark.parametrize("replicas", [0, 1])
     def test_the_replica_count_is_unchanged_while_the_gate_is_closed(self, replicas: int) -> None:
         assert self.scaled(self.world(policy("spare"), spare(), replicas=replicas, active=None)) is None
+
+
+class TestLabels:
+    """Ownership is known by the owner and its UID. The gate's policies select by labels, so these are restored."""
+
+    @pytest.mark.parametrize("removed", [names.WORKLOAD, names.POOL, names.INSTANCE, names.COMPONENT])
+    def test_a_label_that_somebody_removes_from_a_standby_is_restored(self, removed: str) -> None:
+        world = World(workload(), policy("hot"), hot())
+        standby = standby_pod("w-s", of=world.workload, template_hash=world.template_hash)
+        standby["metadata"]["labels"] |= {names.COMPONENT: "instance", names.INSTANCE: "w-s"}
+        before = dict(standby["metadata"]["labels"])
+        world.pods = [source_pod("w-a"), standby]
+        assert "w-s" not in patched(world.plan(), "pods")
+        del standby["metadata"]["labels"][removed]
+        labels = patched(world.plan(), "pods")["w-s"]["metadata"]["labels"]
+        assert before.items() <= (standby["metadata"]["labels"] | labels).items()
+
+    def test_a_standby_with_the_label_of_the_active_instance_gets_its_own_back(self) -> None:
+        world = World(workload(), policy("hot"), hot())
+        standby = standby_pod("w-s", of=world.workload)
+        standby["metadata"]["labels"] |= {names.INSTANCE: "w-a"}
+        world.pods = [source_pod("w-a"), standby]
+        assert patched(world.plan(), "pods")["w-s"]["metadata"]["labels"][names.INSTANCE] == "w-s"
+
+    def test_no_label_is_removed_from_a_standby_of_a_workload_with_a_reference(self) -> None:
+        item = workload(workloadRef={"kind": "Deployment", "name": "nav2"})
+        world = World(item, policy("hot"), hot(), reference=ReferencedObjects(None, []))
+        standby = standby_pod("w-s", of=world.workload)
+        del standby["metadata"]["labels"][names.POOL]
+        world.pods = [standby]
+        for plan in (world.plan(), workload_objects.abandoned("w", [standby])):
+            labels = patched(plan, "pods").get("w-s", {}).get("metadata", {}).get("labels", {})
+            assert None not in labels.values()

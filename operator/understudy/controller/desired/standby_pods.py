@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from understudy.api import names
 from understudy.controller.desired import effective_policy
@@ -14,6 +14,7 @@ from understudy.controller.observed import (
     leaving_nodes,
     ownership,
     replacement_standbys,
+    workload_reference,
 )
 from understudy.controller.observed.observation import Observed
 from understudy.controller.plan import Create, Delete, Patch, Plan
@@ -160,6 +161,38 @@ def _template_of(replica_set: Object) -> str:
     """Return the hash of the template from which a ReplicaSet creates pods."""
     found: str = (replica_set["spec"]["template"]["metadata"].get("labels") or {}).get(names.TEMPLATE_HASH, "")
     return found
+
+
+def relabelled(observed: Observed, workload_plan: WorkloadPlan) -> Iterator[Patch]:
+    """Yield patches that restore the labels of the workload's pods that somebody changed or removed.
+
+    The policies of the gate select by these labels. A pod without them would be fenced by no policy.
+    """
+    workload = observed.workload
+    for pod in observed.pods:
+        if not ownership.controls(kube_objects.uid(workload), pod) or kube_objects.deleted(pod):
+            continue
+        wanted = {
+            names.COMPONENT: "instance",
+            names.WORKLOAD: kube_objects.name(workload),
+            names.INSTANCE: kube_objects.name(pod),
+        }
+        if names.POOL not in kube_objects.labels(pod) and (pool := _pool_of(pod, observed, workload_plan)) is not None:
+            wanted[names.POOL] = pool
+        yield from workload_reference.label(pod, wanted)
+
+
+def _pool_of(pod: Object, observed: Observed, workload_plan: WorkloadPlan) -> str | None:
+    """Return the pool of a standby without the pool's label, if its template or the number of pools shows it."""
+    if names.CLAIM in kube_objects.notes(pod):
+        return None
+    of_template = [
+        pool
+        for pool, built in workload_plan.builts.items()
+        if pool and instance_pod.template_hash(built) == pod_counts.hash_of(pod)
+    ]
+    pools = of_template or list(observed.standby_pools)
+    return pools[0] if len(pools) == 1 else None
 
 
 def scale(made: Plan, observed: Observed) -> None:

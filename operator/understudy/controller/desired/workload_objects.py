@@ -53,6 +53,7 @@ def plan(observed: Observed, workload_plan: WorkloadPlan, images: Images, fresh:
     workload, spec = observed.workload, workload_plan.spec
     if kube_objects.deleted(workload):
         return made
+    made.writes += standby_pods.relabelled(observed, workload_plan)
     if not observed.rivals:
         # With rivals, both workloads would label the same pods in turn, and each time fence the active instance.
         made.writes += workload_reference.labelling(kube_objects.name(workload), observed.pods, observed.reference)

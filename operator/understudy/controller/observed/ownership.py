@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 
+from understudy.api.base import API_VERSION
 from understudy.controller.observed import kube_objects
 from understudy.kube import apply
 from understudy.kube.client import Object
@@ -25,6 +26,12 @@ def nobodys(body: Object, namespace: str) -> Object:
 def controls(uid: str, item: Object) -> bool:
     """Whether the object with this UID is the item's controller."""
     return apply.owned_by(item, uid)
+
+
+def is_understudys(item: Object) -> bool:
+    """Whether the controller of an object is of one of Understudy's kinds."""
+    owner = apply.controller_of(item)
+    return owner is not None and owner.get("apiVersion") == API_VERSION
 
 
 def token(name: str, value: str) -> Object:

@@ -8,7 +8,7 @@ from typing import Any
 
 from understudy.api import names
 from understudy.api.kinds.robot_workload import WorkloadReference
-from understudy.controller.observed import kube_objects
+from understudy.controller.observed import kube_objects, ownership
 from understudy.controller.plan import Patch, Problem
 from understudy.kube import selectors
 from understudy.kube.client import PODS, Object
@@ -78,16 +78,17 @@ def labelling(workload: str, pods: Sequence[Object], referred: ReferencedObjects
     """Yield patches that label every instance, so that the gate can select it, and remove the labels from other pods."""
     for pod in pods:
         if kube_objects.labels(pod).get(names.SOURCE) == "workload" and not kube_objects.deleted(pod):
-            yield from _label(pod, {names.INSTANCE: kube_objects.name(pod)})
+            yield from label(pod, {names.INSTANCE: kube_objects.name(pod)})
     if referred is None or referred.controller is None:
         return
     for pod in referred.pods:
         if not kube_objects.deleted(pod):
-            yield from _label(pod, {names.WORKLOAD: workload, names.INSTANCE: kube_objects.name(pod)})
+            yield from label(pod, {names.WORKLOAD: workload, names.INSTANCE: kube_objects.name(pod)})
     yield from unlabelling(workload, pods, keep={kube_objects.uid(pod) for pod in referred.pods})
 
 
-def _label(pod: Object, wanted: Mapping[str, Any]) -> Iterator[Patch]:
+def label(pod: Object, wanted: Mapping[str, Any]) -> Iterator[Patch]:
+    """Yield the patch that gives a pod these labels; nothing if it has them."""
     if any(kube_objects.labels(pod).get(key) != value for key, value in wanted.items()):
         yield Patch(PODS, pod, {"metadata": {"labels": dict(wanted)}})
 
@@ -95,10 +96,11 @@ def _label(pod: Object, wanted: Mapping[str, Any]) -> Iterator[Patch]:
 def unlabelling(workload: str, pods: Sequence[Object], *, keep: Collection[str]) -> Iterator[Patch]:
     """Yield patches that remove Understudy's labels from pods that it labelled but did not create.
 
-    Pods that it created keep them: their own ReplicaSet selects them by these labels, and would release them.
+    Pods that it created keep them: their own ReplicaSet selects them by these labels, and would release them. The owner
+    shows that Understudy created a pod, because anyone may have removed the other labels.
     """
     for pod in pods:
         found = kube_objects.labels(pod)
-        ours = names.SOURCE in found or names.POOL in found
+        ours = names.SOURCE in found or names.POOL in found or ownership.is_understudys(pod)
         if found.get(names.WORKLOAD) == workload and not ours and kube_objects.uid(pod) not in keep:
             yield Patch(PODS, pod, {"metadata": {"labels": {names.WORKLOAD: None, names.INSTANCE: None}}})

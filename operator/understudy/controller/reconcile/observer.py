@@ -69,6 +69,7 @@ class Observer:
         name, namespace = kube_objects.name(item), item["metadata"]["namespace"]
         found_pools = store.in_namespace(POOLS, namespace)
         key = Key(WORKLOADS.plural, namespace, name)
+        uid = kube_objects.uid(item)
         serving = [p for p, pool in found_pools.items() if pool_reader.serves(pool, item)]
         return Observed(
             workload=item,
@@ -81,9 +82,9 @@ class Observer:
                 for pool in serving
                 if (policy := store.get(unclaimed_pod_policy.RESOURCE, namespace, names.held(pool))) is not None
             },
-            owned=store.owned(kube_objects.uid(item)),
+            owned=store.owned(uid),
             # Read at the same moment as the next field: a pod that appears during a wait must be in one of the two.
-            pods=store.labelled(PODS, namespace, names.WORKLOAD, name),
+            pods=self._pods(namespace, name, uid),
             expected={pool: self._expected(key, pool) for pool in serving},
             monitors=self._serving(item, "monitor"),
             discovery=self._serving(item, "discovery"),
@@ -100,6 +101,13 @@ class Observer:
             budgets=self._budgets(namespace),
             going=frozenset(self._going(namespace, store.get(ROLES, namespace, names.monitor(name)))),
         )
+
+    def _pods(self, namespace: str, workload: str, uid: str) -> list[Object]:
+        """Return the pods of a workload: those with its label, and those that it controls, whose label may be removed."""
+        labelled = self._store.labelled(PODS, namespace, names.WORKLOAD, workload)
+        owned = [item for (plural, _), item in self._store.owned(uid).items() if plural == PODS.plural]
+        known = {kube_objects.uid(pod) for pod in labelled}
+        return [*labelled, *(pod for pod in owned if kube_objects.uid(pod) not in known)]
 
     def _going(self, namespace: str, role: Object | None) -> Iterator[str]:
         """Yield the deleted pools with claimable pods, of those whose agents the monitor may command by its Role."""
