@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.e2e.faults import Stage, cluster
+from tests.e2e.faults import ApiServer, Stage, cluster
 from tests.e2e.kubectl import Failed, Kubectl, helm
 from tests.e2e.scenario import Late, Robot, eventually, manifest
 
@@ -231,3 +231,14 @@ def without_operator(release: Kubectl) -> Iterator[None]:
         release("rollout", "status", "deployment/understudy-operator", "--timeout=60s", timeout=70)
     except Failed as error:
         pytest.fail(str(error))
+
+
+@pytest.fixture
+def api_server(kubectl: Kubectl) -> Iterator[ApiServer]:
+    """The API server, which runs again when the test has ended."""
+    if Path(cluster("kubeconfig").strip()) != kubectl.kubeconfig:
+        pytest.skip("the cluster under test isn't the one that scripts/cluster stops the API server of")
+    server = ApiServer(kubectl)
+    yield server
+    if server.stopped:
+        server.start()

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import signal
 import time
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 from understudy_demo.recovery import Recovered
@@ -58,17 +56,6 @@ def apart(kubectl: Kubectl, stage: Stage) -> Robot:
     wait_armed(robot)
     assert len({stage.node_of(name) for name in instances(robot)}) == 2, "understudies are kept apart"
     return robot
-
-
-@pytest.fixture
-def api_server(kubectl: Kubectl) -> Iterator[ApiServer]:
-    """The API server, which runs again when the test has ended."""
-    if Path(cluster("kubeconfig").strip()) != kubectl.kubeconfig:
-        pytest.skip("the cluster under test isn't the one that scripts/cluster stops the API server of")
-    server = ApiServer(kubectl)
-    yield server
-    if server.stopped:
-        server.start()
 
 
 def wait_armed(robot: Robot, within: float = 120.0) -> str:

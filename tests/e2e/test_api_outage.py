@@ -1,0 +1,45 @@
+"""The active instance fails while the API server is away: the standby drives as soon as the API server is back."""
+
+from __future__ import annotations
+
+import signal
+import time
+
+import pytest
+
+from tests.e2e.faults import ApiServer, cluster, signal_processes, staying
+from tests.e2e.kubectl import Kubectl
+from tests.e2e.scenario import APPLICATION, Late, Robot, manifest
+from tests.e2e.test_strategies import assert_handed_over
+
+BACK_WITHIN = 0.5
+"""Seconds from the return of the API server to the standby's first command at the robot."""
+
+
+@pytest.mark.local_only
+@pytest.mark.parametrize(
+    "outage", [pytest.param(4, marks=pytest.mark.long), 8, pytest.param(60, marks=pytest.mark.long)]
+)
+def test_an_executing_standby_drives_once_the_api_server_is_back(
+    kubectl: Kubectl, api_server: ApiServer, outage: float
+) -> None:
+    robot = Robot(kubectl)
+    kubectl.apply(manifest("strategies/executing.yaml"))
+    kubectl.apply(staying(robot.objects(policy="quickstart-executing")))
+    old = robot.wait_protected()
+    uid = kubectl.get("pod", old)["metadata"]["uid"]
+    api_server.stop()
+    assert signal_processes(uid, APPLICATION, signal.SIGSTOP)
+    time.sleep(outage)
+    cluster("api", "start")
+    back = time.time()
+    api_server.start()
+    recovery = robot.wait_recovered(1)
+    assert (recovery.strategy, recovery.old) == ("Fallback/Executing", old), (
+        "an outage of the API server fails no standby"
+    )
+    assert_handed_over(robot, recovery)
+    first = min(command.received for command in robot.log().of(recovery.new) if command.received > back - outage)
+    print(f"the standby's first command arrived {first - back:+.3f} s after the API server was ready")
+    if first - back > BACK_WITHIN:
+        raise Late(f"the standby drove {first - back:.3f} s after the return of the API server")
