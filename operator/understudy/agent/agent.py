@@ -147,8 +147,9 @@ class Agent:
                 f"the request is of epoch {epoch.number} of the gate, and this agent knows epoch {memory.epoch}: another "
                 "monitor has switched the gate since"
             )
-        memory.workload_uid, memory.epoch = epoch.workload_uid, epoch.number
-        self._save()
+        if epoch.workload_uid:
+            memory.workload_uid, memory.epoch = epoch.workload_uid, epoch.number
+            self._save()
         return None
 
     def status(self) -> AgentStatus:

@@ -66,6 +66,9 @@ async def test_a_monitor_that_sends_no_epoch_is_refused_once_one_is_known(runnin
     await link.request("configure", CONFIGURATION, epoch=at(1))
     with pytest.raises(AgentRefused, match="knows epoch 1"):
         await link.request("configure", CONFIGURATION)
+    await link.request("configure", CONFIGURATION, epoch=at(5, ""))
+    with pytest.raises(AgentRefused, match="knows epoch 1"):
+        await link.request("configure", CONFIGURATION, epoch=at(0))
 
 
 async def test_epochs_of_a_workload_that_was_created_again_begin_again(running: Pod, links: list[AgentLink]) -> None:
