@@ -19,7 +19,7 @@ from understudy.failover.interfaces import Instance, NotAvailable, NotVerified, 
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.protocol import alone, retire, unless_lost
 from understudy.failover.strategies.base import Choice, StrategyContext, Unfit
-from understudy.failover.strategies.steps import open_for, wait_enforced
+from understudy.failover.strategies.steps import open_for, restore, wait_enforced
 
 _logger = logging.getLogger(__name__)
 
@@ -101,6 +101,10 @@ async def switch(prepared: Preparation, context: StrategyContext) -> Progress:
         raise NotAvailable(f"{target.name}, which was ready, is gone")
     progress.former = PodIdentity(name=state.active, uid=state.active_uid)
     progress.attempts = list(prepared.attempts)
+    if progress.state:
+        # The active instance has continued since the understudy was prepared, and drives until the gate is switched.
+        progress.moments["last_healthy"] = context.clock()
+        await restore(target, progress, context)
     now = context.clock()
     # The preparation cost the robot nothing: its time counts from here.
     progress.parts, progress.cursor = {}, now

@@ -187,6 +187,19 @@ async def test_the_gate_stays_if_the_former_instance_is_missing_too(
     assert (done.result, store.gate.active, store.deleted) == ("Failed", "w-2", [])
 
 
+async def test_the_understudy_receives_the_state_of_the_moment_of_the_switch() -> None:
+    store = driven(pool="warm")
+    world = World(store)
+    found = await prepared_by(world, InitializedFallback("warm"))
+    at_preparation = store.kept_states["w-2"]
+    store.kept = KeptState(
+        (KeptSample("/amcl_pose", "geometry_msgs/msg/Pose", 5.0, b"later", to="/initialpose"),), (), (), ()
+    )
+    done = await switch(found, world.context())
+    assert done.result == "Recovered"
+    assert store.kept_states["w-2"] == store.kept != at_preparation
+
+
 async def test_a_switchover_does_not_wait_for_a_silent_api_server(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(switchover, "COMMIT_WITHIN", 0.05)
     store = driven(pool="hot")
