@@ -14,7 +14,7 @@ from understudy.action_proxy.control_state import Peer as Instance
 from understudy.action_proxy.goal_ledger import Order
 from understudy.action_proxy.instance_link import InstanceLink
 from understudy.agent.control_channel import ControlChannel, Operation, Peer, Refused
-from understudy.api.protocol.agent_messages import AgentStatus
+from understudy.api.protocol.agent_messages import AgentStatus, GateEpoch
 
 TOKEN = b"secret"
 FIRST, SECOND, THIRD = (f"{n:032x}" for n in (1, 2, 3))
@@ -28,6 +28,7 @@ class Agent:
         self.asked: list[tuple[str, str]] = []
         self.known: list[dict[str, Any]] = []
         self.refused_action = ""
+        self.epochs: list[GateEpoch] = []
         self.sessions = ControlChannel(self)
 
     def greeting(self) -> Mapping[str, str]:
@@ -37,6 +38,10 @@ class Agent:
         return TOKEN
 
     def refuses(self, workload: str, claim: str) -> str | None:
+        return None
+
+    def outdated(self, epoch: GateEpoch) -> str | None:
+        self.epochs.append(epoch)
         return None
 
     def status(self) -> AgentStatus:
@@ -74,6 +79,9 @@ class LinkRecorder:
         self.cancelled: list[str] = []
         self.taken_up: list[str] = []
         self.troubles: dict[str, str] = {}
+
+    def epoch(self) -> GateEpoch:
+        return GateEpoch("uid", 3)
 
     def orders(self, uid: str) -> list[Order]:
         return self.ordered

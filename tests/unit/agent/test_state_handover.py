@@ -16,23 +16,27 @@ pytest.importorskip("rclpy")
 from tests.unit.agent.conftest import Pod
 from tests.unit.agent.localization import OUTPUTS, TREE, WITHIN, localize
 from tests.unit.agent.poses import pose
+from tests.unit.monitor.cluster_objects import ClusterObjects
+from understudy.api.protocol.agent_messages import GateEpoch
 from understudy.api.protocol.kept_state import LARGEST, KeptSample, KeptState, NotRestored, ParameterValues
-from understudy.failover.interfaces import Instance
+from understudy.failover.interfaces import GateState, Instance
 from understudy.kube.agent_client import AgentGone, AgentLink
-from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.observe.agent_connections import AgentConnections
-from understudy.monitor.observe.wakeups import Wakeups
 
 pytestmark = pytest.mark.ros
 
 CONFIGURE = {"set_lifecycle": {"node": "/localizer", "state": "inactive"}}
+EPOCH = GateEpoch("uid-w", 1)
 INSTANCE = Instance("robot-1", "uid-1", ip="127.0.0.1", running=True)
 
 
 def sidecars(link: AgentLink | None, tmp_path: Any) -> AgentConnections:
     """The monitor's side, with one agent."""
-    none: Any = None
-    made = AgentConnections(none, none, "127.0.0.1", CrashPoints(tmp_path), none, Wakeups())
+    roles: Any = None
+    objects = ClusterObjects(tmp_path)
+    objects.put_settings()
+    objects.put_gate(GateState(epoch=EPOCH.number, active=INSTANCE.name, active_uid=INSTANCE.uid))
+    made = AgentConnections(objects.client, objects.view, "127.0.0.1", objects.crash_points, roles, objects.wakeups)
     if link is not None:
         made._links[INSTANCE.uid] = link
     return made
@@ -50,7 +54,7 @@ async def persistently(ask: Callable[[], Awaitable[Any]]) -> Any:
 
 
 async def connected(pod: Pod, links: list[AgentLink]) -> AgentLink:
-    links.append(link := pod.link())
+    links.append(link := pod.link(epoch=lambda: EPOCH))
     await link.wait_connected(WITHIN)
     await persistently(lambda: link.configure(TREE, OUTPUTS, 20.0))
     return link
