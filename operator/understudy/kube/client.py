@@ -34,7 +34,7 @@ LIFETIME = (200, 300)
 then."""
 
 _KEEPALIVE = {"TCP_KEEPIDLE": 5, "TCP_KEEPINTVL": 3, "TCP_KEEPCNT": 3, "TCP_USER_TIMEOUT": 10_000}
-"""Socket options by which the kernel ends a connection whose other side has vanished without a reset: within 5 + 3 * 3 seconds if
+"""Socket options with which the kernel ends a connection whose other side has vanished without a reset: within 5 + 3 * 3 seconds if
 nothing is sent, and within 10,000 milliseconds otherwise. Without them, a watch would wait until the end of its lifetime."""
 
 _TOKEN_LIFETIME = 60.0  # seconds between reads; the kubelet renews the file long before the token expires
