@@ -62,7 +62,7 @@ def test_the_console_shows_a_robot_before_and_after_a_failure(executing: Robot, 
     told = understudy(kubectl, "status", "-o", "json")
     (robot,) = json.loads(told.stdout)["robots"]
     assert (robot["name"], robot["active"], robot["epoch"]) == (name, recovered.new, recovered.epoch)
-    assert robot["lastRecovery"]["strategy"] == "Fallback/Executing"
+    assert robot["lastRecovery"]["strategy"] == "Fallback/Executing", recovered
     drawn = understudy(kubectl, "timeline", name)
     assert drawn.returncode == 0
     assert " by Fallback/Executing" in drawn.stdout

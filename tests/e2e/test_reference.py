@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.e2e.kubectl import Kubectl
+from tests.e2e.kubectl import Kubectl, Object
 from tests.e2e.scenario import Robot, eventually, manifest
 from tests.e2e.test_strategies import assert_handed_over
 
@@ -17,11 +17,17 @@ def unchanged(before: dict[str, object], after: dict[str, object]) -> bool:
     }
 
 
+def _observed(kubectl: Kubectl) -> Object | None:
+    """The Deployment once its controller has annotated it with its revision."""
+    found = kubectl.get("deployment", "drive")
+    return found if "deployment.kubernetes.io/revision" in (found["metadata"].get("annotations") or {}) else None
+
+
 @pytest.mark.parametrize("strategy", ["executing", pytest.param("restart", marks=pytest.mark.long)])
 def test_a_deployment_is_protected_without_a_change_to_it(kubectl: Kubectl, strategy: str) -> None:
     robot = Robot(kubectl)
     kubectl.apply(manifest("workload-ref/deployment.yaml"))
-    before = kubectl.get("deployment", "drive")
+    before = eventually(lambda: _observed(kubectl), within=30, what="the Deployment's own controller has seen it")
     kubectl.apply(manifest("robot.yaml"))
     kubectl.apply(manifest(f"strategies/{strategy}.yaml"))
     [workload] = manifest("workload-ref/robotworkload.yaml")
@@ -37,7 +43,8 @@ def test_a_deployment_is_protected_without_a_change_to_it(kubectl: Kubectl, stra
         second_old = robot.wait_protected()
         robot.fail(second_old, "killed")
         second = robot.wait_recovered(2)
-        assert not second.new.startswith("drive-"), "a standby with an agent takes over, never the Deployment's own pod"
+        words = f"a standby with an agent takes over, never the Deployment's own pod: {second.attempts}"
+        assert not second.new.startswith("drive-"), words
         assert_handed_over(robot, second)
     kubectl("delete", "robotworkload", robot.workload)
     eventually(
