@@ -16,10 +16,9 @@ BACK_WITHIN = 0.5
 """Seconds from the return of the API server to the standby's first command at the robot."""
 
 
+@pytest.mark.long
 @pytest.mark.local_only
-@pytest.mark.parametrize(
-    "outage", [pytest.param(4, marks=pytest.mark.long), 8, pytest.param(60, marks=pytest.mark.long)]
-)
+@pytest.mark.parametrize("outage", [4, 8, 60])
 def test_an_executing_standby_drives_once_the_api_server_is_back(
     kubectl: Kubectl, api_server: ApiServer, outage: float
 ) -> None:
