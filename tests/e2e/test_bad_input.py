@@ -159,7 +159,7 @@ def test_a_protected_workload_stays_protected_when_its_objects_become_invalid(
 ) -> None:
     old, before = spoilt.wait_protected(), complaints(spoilt)
     spoil(spoilt.kubectl)
-    eventually(lambda: complaints(spoilt) - before, within=60, what="a condition tells of it", note=spoilt.describe)
+    eventually(lambda: complaints(spoilt) - before, within=60, what="a condition reports it", note=spoilt.describe)
     spoilt.fail(old, "killed")
     recovery = spoilt.wait_recovered(1)
     assert recovery.strategy == "Fallback/Executing"

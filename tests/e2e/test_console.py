@@ -113,7 +113,7 @@ def test_status_watch_prints_every_change(executing: Robot, tmp_path: Path) -> N
         number = executing.status()["recoveryCount"]
         driving = f"active {new.new} (epoch {new.epoch})"
         eventually(lambda: told(driving), within=60, what="who took over is told")
-        eventually(lambda: told(f"last recovery #{number} "), within=60, what="how it was recovered is told")
+        eventually(lambda: told(f"last recovery #{number} "), within=60, what="the recovery is shown")
         executing.wait_protected()
         eventually(
             lambda: "; Healthy; protected; " in told(driving)[-1], within=60, what="that it is protected is told"

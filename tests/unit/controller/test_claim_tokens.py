@@ -349,7 +349,7 @@ async def test_the_operator_checks_once_whether_the_token_of_a_recreated_pool_ex
     before["metadata"]["creationTimestamp"] = "2026-01-01T00:00:00Z"
     recreated = {
         **POOL,
-        "metadata": {**POOL["metadata"], "uid": "uid-anew", "creationTimestamp": "2026-01-01T00:01:00Z"},
+        "metadata": {**POOL["metadata"], "uid": "uid-of-the-next-pool", "creationTimestamp": "2026-01-01T00:01:00Z"},
     }
     store.put(SECRETS, before)
     store.put(POOLS, recreated)

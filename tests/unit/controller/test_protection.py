@@ -90,7 +90,7 @@ def test_a_pause_and_a_spent_budget_remove_protection(type_: str, status: str, r
     assert (protected["status"], protected["reason"]) == ("False", reason)
     assert protected["message"] == f"That is so. {outlook}"
     types = [c["type"] for c in workload_status.transitions({"status": before}, found.status())]
-    assert "Protected" not in types, "the monitor tells of it"
+    assert "Protected" not in types, "the monitor reports this condition"
     condition["status"] = {"True": "False", "False": "True"}[status]
     assert found.condition("Protected")["status"] == "True"
 

@@ -15,11 +15,9 @@ import time
 from collections.abc import Sequence
 
 from understudy.api import names
-from understudy.api.base import API_VERSION
-from understudy.controller.observed import health_tree_sources, kube_objects
+from understudy.controller.observed import health_tree_sources, kube_objects, ownership
 from understudy.controller.reconcile.object_store import ObservedChange, Store, same, slim
 from understudy.controller.reconcile.object_store import version as version_of
-from understudy.kube.apply import controller_of
 from understudy.kube.client import (
     CONFIG_MAPS,
     DEPLOYMENTS,
@@ -107,8 +105,7 @@ def listed(resource: Resource, item: Object) -> bool:
 
 def kept(resource: Resource, item: Object) -> bool:
     """Whether an object from a watch is kept. This includes an object of Understudy whose label was removed."""
-    owner = controller_of(item)
-    return listed(resource, item) or (owner is not None and owner.get("apiVersion") == API_VERSION)
+    return listed(resource, item) or ownership.is_understudys(item)
 
 
 class ListCycle:

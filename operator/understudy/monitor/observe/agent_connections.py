@@ -18,7 +18,6 @@ from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotVerified
 from understudy.kube.agent_client import AgentGone, AgentLink, AgentRefused
 from understudy.kube.client import FAILURES, SECRETS, Client
-from understudy.kube.gates.base import GateRecord
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.observe.instance_roles import InstanceRoles
 from understudy.monitor.observe.objects.cluster_view import ClusterView
@@ -137,10 +136,8 @@ class AgentConnections:
 
     def _epoch(self) -> GateEpoch:
         """Return the epoch of the gate as this monitor knows it."""
-        gate, settings = self._view.gates.items.get(names.gate(self._view.workload)), self._view.settings
-        if gate is None or settings is None:
-            return GateEpoch()
-        return GateEpoch(settings.uid, GateRecord.of(gate).epoch)
+        record, settings = self._view.gate_record, self._view.settings
+        return GateEpoch(settings.uid, record.epoch) if record is not None and settings is not None else GateEpoch()
 
     async def _confirm(self, epoch: GateEpoch) -> None:
         """Ask the API server whether the gate is still at the epoch of a decision, unless it has just answered that.

@@ -271,7 +271,7 @@ async def test_an_inactive_instance_may_continue_after_its_node_could_learn_of_t
     sent = len(agents.words("uid-s"))
     world.wakeups.permits.set()
     await asyncio.sleep(0.15)
-    assert len(agents.words("uid-s")) == sent, "each time anew"
+    assert len(agents.words("uid-s")) == sent, "the wait begins again with each cut-off"
     task.cancel()
 
 

@@ -239,7 +239,7 @@ async def test_an_old_or_unknown_request_is_reported_and_not_carried_out() -> No
     scene.ask("failover now")
     assert await scene.looked(0.05) is None
     assert_golden("monitor", scene.notices.message, "'failover now'")
-    assert scene.notices.reasons == ["SwitchoverNotDone"] * 2, "each is told once"
+    assert scene.notices.reasons == ["SwitchoverNotDone"] * 2, "each is reported once"
 
 
 async def test_a_failure_takes_precedence_and_ends_the_request() -> None:

@@ -53,8 +53,7 @@ class GateControl:
     @property
     def record(self) -> GateRecord | None:
         """The gate's record, as last seen or committed; None if there is no gate object."""
-        gate = self._view.gates.items.get(names.gate(self._view.workload))
-        return GateRecord.of(gate) if gate else None
+        return self._view.gate_record
 
     @property
     def exists(self) -> bool:

@@ -15,7 +15,7 @@ from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.protocol.monitor_settings import WorkloadSettings
 from understudy.kube.client import CONFIG_MAPS, PODS, POLICIES, WORKLOADS, Client, Object
 from understudy.kube.gates import registry
-from understudy.kube.gates.base import GateKind
+from understudy.kube.gates.base import GateKind, GateRecord
 from understudy.kube.watched_collection import Reflector, any_changed
 from understudy.monitor.observe.objects.unclaimed_pods import Unclaimed
 from understudy.monitor.observe.wakeups import Wakeups
@@ -156,6 +156,12 @@ class ClusterView:
     def object(self) -> Object | None:
         """The RobotWorkload itself; None if it is gone."""
         return self.workloads.items.get(self.workload)
+
+    @property
+    def gate_record(self) -> GateRecord | None:
+        """The record of the workload's gate, as last seen or committed; None if there is no gate object."""
+        gate = self.gates.items.get(names.gate(self.workload))
+        return GateRecord.of(gate) if gate is not None else None
 
     @property
     def retired(self) -> bool:
