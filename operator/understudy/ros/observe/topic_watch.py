@@ -414,7 +414,9 @@ class TopicWatch:
                 source = sources.get(MIDDLEWARE.host_of(gid)) or self._new_source(topic, MIDDLEWARE.host_of(gid))
                 source.add(received)
                 if source.number(gid, sequence) and losing:
-                    source.observed_since = topic.counted.observed_since = received
+                    source.observed_since = received
+                    if source.accepted:
+                        topic.counted.observed_since = received
                 if source.accepted and topic.counted is not source:
                     topic.counted.add(received)
                 if wanted:
