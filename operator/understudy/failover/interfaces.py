@@ -28,6 +28,10 @@ class NotVerified(Exception):
     """A strategy was carried out, but outputs of the new instance did not reach the robot."""
 
 
+class StillDriven(Exception):
+    """An instance that the gate no longer lets through still reaches the robot, although its pod is being deleted."""
+
+
 class Superseded(Exception):
     """Another writer committed to the gate at a newer epoch: an action at an older epoch must stop."""
 
@@ -218,3 +222,6 @@ class Outputs(Protocol):
 
         The time is in Unix seconds; 0 if never.
         """
+
+    def period_of_others(self, instance: Instance) -> float:
+        """Return the longest usual time in seconds between two samples of another instance on one topic; 0 if none was heard of late."""

@@ -12,7 +12,7 @@ from contextlib import asynccontextmanager
 from typing import Literal
 
 from understudy.api.kinds.robot_workload import Attempt
-from understudy.failover.interfaces import ClaimsLost, Instance, NotAvailable, NotVerified, Superseded
+from understudy.failover.interfaces import ClaimsLost, Instance, NotAvailable, NotVerified, StillDriven, Superseded
 from understudy.failover.progress import Progress
 from understudy.failover.strategies.base import Choice, StrategyContext
 
@@ -30,8 +30,19 @@ LOST_CHECK_PERIOD = 0.1
 OUTAGE_CHECK_PERIOD = 0.05
 """Seconds between two checks of whether the API server answers."""
 
-QUIET = 0.200
-"""Seconds without a sample of any other instance before a leak counts as closed."""
+SILENCE_MARGIN = 0.100
+"""Seconds that nobody else must be heard besides one of the others' periods, before an instance counts as the only one that drives."""
+
+PERIOD_MOST = 1.0
+"""Longest period in seconds of others' outputs that is waited for. The workload is not monitored meanwhile; after that, the sole driver is
+watched for (understudy.monitor.judge.sole_driver)."""
+
+SILENCE_CHECK_PERIOD = 0.010
+"""Seconds between two checks whether another instance is heard."""
+
+SILENT_WITHIN = 5.0
+"""Seconds after the first output of an instance within which every other one must be silent. A leak that lasts is not the fault of the
+instance, so it is not replaced."""
 
 
 async def recover(progress: Progress, choices: Sequence[Choice], context: StrategyContext) -> Progress:
@@ -52,10 +63,14 @@ async def recover(progress: Progress, choices: Sequence[Choice], context: Strate
             context.save(progress)  # otherwise nothing was done yet, and the first commit must not wait
         result, message = await _attempt(progress, choice, context, last=index == len(choices) - 1)
         pod = progress.target.name if progress.target else ""
-        progress.attempts.append(Attempt(strategy=choice.strategy.name, pod=pod, result=result, message=message))
+        listed: Verdict = "NotVerified" if result == "StillDriven" else result
+        progress.attempts.append(Attempt(strategy=choice.strategy.name, pod=pod, result=listed, message=message))
         _logger.info("strategy %s with %s: %s %s", choice.strategy.name, pod or "no pod", result, message)
         if result == "Verified":
             progress.result = "Recovered"
+            break
+        if result == "StillDriven":  # neither the fault of this instance, nor would another one help
+            progress.result, progress.strategy = "Failed", ""
             break
         progress.fail_target()
         progress.forget_attempt()
@@ -67,9 +82,12 @@ async def recover(progress: Progress, choices: Sequence[Choice], context: Strate
     return progress
 
 
+Verdict = Literal["Verified", "NotVerified", "NotAvailable"]
+
+
 async def _attempt(
     progress: Progress, choice: Choice, context: StrategyContext, *, last: bool
-) -> tuple[Literal["Verified", "NotVerified", "NotAvailable"], str]:
+) -> tuple[Verdict | Literal["StillDriven"], str]:
     is_resumed = progress.target is not None or progress.waiting is not None  # by an earlier monitor
     if not is_resumed and (reason := context.holds(choice.strategy)) is not None:
         return "NotAvailable", reason
@@ -79,6 +97,8 @@ async def _attempt(
         return "NotAvailable", str(reason)
     except NotVerified as reason:
         return "NotVerified", str(reason)
+    except StillDriven as reason:
+        return "StillDriven", str(reason)
     except TimeoutError:
         return "NotVerified", f"the strategy was not verified within {choice.verify_within:g} s: {_missing(progress)}"
     progress.epoch = context.gate.state.epoch
@@ -86,12 +106,15 @@ async def _attempt(
 
 
 async def _in_its_time(progress: Progress, choice: Choice, context: StrategyContext, *, last: bool) -> None:
-    """Wait for the resources of the strategy, then carry it out within its time."""
+    """Wait for the resources of the strategy, carry it out within its time, and wait until its instance drives alone."""
     while True:
         await choice.strategy.wait(progress, context)
+        found: list[Instance] = []
         try:
             async with _answered_time(choice.verify_within, context):
-                await unless_lost(_carry_out(progress, choice, context), progress, context, crashing_counts=not last)
+                work = _carry_out(progress, choice, context, found)
+                await unless_lost(work, progress, context, crashing_counts=not last)
+            await unless_lost(alone(found[0], progress, context), progress, context, crashing_counts=not last)
             return
         except ClaimsLost as reason:
             _logger.info("%s", reason)
@@ -122,9 +145,14 @@ async def _extend_by_outages(limit: asyncio.Timeout, context: StrategyContext) -
         counted_until = now
 
 
-async def _carry_out(progress: Progress, choice: Choice, context: StrategyContext) -> None:
+async def _carry_out(progress: Progress, choice: Choice, context: StrategyContext, found: list[Instance]) -> None:
+    """Put an instance in control, wait until its outputs arrive, and add it to ``found``."""
     target = await choice.strategy.prepare(progress, context, within=choice.verify_within)
-    await _verify(target, progress, context)
+    since = progress.moments.get("committing", progress.cursor)
+    first = await context.outputs.first_from(target, since=since)
+    if first is not None:
+        progress.note_first_output(first)
+    found.append(target)
 
 
 async def unless_lost(
@@ -171,7 +199,6 @@ async def _loss(progress: Progress, context: StrategyContext, *, crashing_counts
 
 def _missing(progress: Progress) -> str:
     for moment, message in (
-        ("first_output", "outputs of another instance still arrived"),
         ("routed", "no output of the new instance arrived through the gate"),
         ("ready", "the gate could not be opened"),
         ("started", "the outputs of the new instance did not become healthy"),
@@ -182,38 +209,47 @@ def _missing(progress: Progress) -> str:
     return "no instance was running" if progress.target is None else "the processes of the new instance did not start"
 
 
-async def _verify(target: Instance, progress: Progress, context: StrategyContext) -> None:
-    """Wait until outputs arrive from the new instance and from no other one."""
-    since = progress.moments.get("committing", progress.cursor)
-    first = await context.outputs.first_from(target, since=since)
-    if first is not None:
-        progress.note_first_output(first)
-    await alone(target, progress, context)
-
-
 async def alone(target: Instance, progress: Progress, context: StrategyContext) -> None:
-    """Wait until only one instance drives the robot: outputs of a failed pod end when the pod is deleted.
+    """Wait until only one instance drives: after the gate changed, nobody else is heard for one of the others' periods and a margin.
 
-    Raises Superseded.
+    A pod that is heard later is deleted, because the gate stops packets and not processes. Raises StillDriven and Superseded.
     """
-    since = progress.moments.get("committing", progress.cursor)
-    fenced = progress.moments.get("fenced", since)
-    last, pod = context.outputs.last_from_others(target)
-    if last > fenced + IN_FLIGHT:
-        _logger.warning(
-            "outputs of %s still arrived %.0f ms after the gate was closed to it: waiting until they end",
-            pod,
-            (last - fenced) * 1000,
-        )
-        progress.moments["fenced"] = last
-        await retire(progress, context)
-        while context.clock() - last < QUIET:
-            await asyncio.sleep(QUIET / 4)
-            last, pod = context.outputs.last_from_others(target)
-            progress.moments["fenced"] = max(progress.moments["fenced"], last)
+    moments, clock = progress.moments, context.clock
+    began = clock()
+    fenced = min(moments.get("fenced", moments.get("committing", progress.cursor)), began)
+    silence = min(context.outputs.period_of_others(target), PERIOD_MOST) + SILENCE_MARGIN
+    is_leaking = False
+    while True:
+        last, pod = _last_sign(target, progress, context)
+        if last > fenced:
+            moments["fenced"] = max(last, moments.get("fenced", last))
+        if last > fenced + IN_FLIGHT and not is_leaking:
+            is_leaking = True
+            late = (last - fenced) * 1000
+            _logger.warning(
+                "%s still reached the robot %.0f ms after the gate was closed to it: waiting for silence", pod, late
+            )
+            await retire(progress, context)
+        quiet_from = max(fenced, last)
+        if (left := quiet_from + silence - clock()) <= 0:
+            break
+        if is_leaking and clock() - began >= SILENT_WITHIN:
+            raise StillDriven(f"{pod} still reaches the robot, although the gate does not let it through")
+        await asyncio.sleep(min(left, SILENCE_CHECK_PERIOD))
     if context.gate.state.active_uid != target.uid:
         raise Superseded(f"the gate admits {context.gate.state.active or 'no pod'}, not {target.name}")
-    progress.moments["verified"] = context.clock()
+    moments["verified"] = clock()
+
+
+def _last_sign(target: Instance, progress: Progress, context: StrategyContext) -> tuple[float, str]:
+    """Return when another instance last reached the robot, by samples and by packets through the gate, and which; 0 if none did."""
+    now = context.clock()
+    found = [context.outputs.last_from_others(target)]
+    pods = {pod.uid: pod.name for pod in progress.replaced} | {i.uid: i.name for i in context.instances.of_workload()}
+    pods.pop(target.uid, None)
+    found += [(packet, name) for uid, name in pods.items() if (packet := context.gate.last_packet(uid)) is not None]
+    # A time after ``now`` is from before the clock was set back.
+    return max((sign for sign in found if sign[0] <= now), default=(0.0, ""))
 
 
 async def retire(progress: Progress, context: StrategyContext) -> None:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from understudy.api.kinds.robot_workload import Attempt
-from understudy.failover.interfaces import Instance, NotAvailable, NotVerified, Superseded
+from understudy.failover.interfaces import Instance, NotAvailable, NotVerified, StillDriven, Superseded
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.protocol import alone, retire, unless_lost
 from understudy.failover.strategies.base import Choice, StrategyContext, Unfit
@@ -28,9 +28,6 @@ COMMIT_WITHIN = 2.0
 
 SEEN_WITHIN = 2.0
 """Seconds within which outputs of the understudy, which it already published behind the gate, must reach the gated readers."""
-
-SILENT_WITHIN = 30.0
-"""Seconds within which outputs of the former instance that still pass the gate must end after its pod is deleted."""
 
 
 @dataclass(frozen=True)
@@ -133,17 +130,19 @@ async def settle(progress: Progress, context: StrategyContext) -> Progress:
         target = next((i for i in context.instances.of_workload() if i.uid == uid), None)
         if target is None or not await _is_observed(target, progress, context):
             return await _give_back(target, progress, context)
-        progress.epoch, progress.result = context.gate.state.epoch, "Recovered"
-        pod, strategy = target.name, progress.strategy
-        progress.attempts.append(Attempt(strategy=strategy, pod=pod, result="Verified"))
         if progress.former is not None:
             progress.fail(progress.former)  # from here on it is treated as a failed pod
-        context.save(progress)
+        pod, strategy = target.name, progress.strategy
         try:
-            async with asyncio.timeout(SILENT_WITHIN):
-                await alone(target, progress, context)
-        except TimeoutError:
-            _logger.warning("outputs of another instance than %s still arrive", target.name)
+            await alone(target, progress, context)
+        except StillDriven as error:
+            progress.strategy, progress.result = "", "Failed"
+            progress.attempts.append(Attempt(strategy=strategy, pod=pod, result="NotVerified", message=str(error)))
+        else:
+            progress.result = "Recovered"
+            progress.attempts.append(Attempt(strategy=strategy, pod=pod, result="Verified"))
+        progress.epoch = context.gate.state.epoch
+        context.save(progress)
     await retire(progress, context)
     return progress
 

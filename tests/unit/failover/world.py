@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import itertools
+import math
 from collections.abc import AsyncIterator, Callable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -20,6 +21,15 @@ PERIOD = 0.005  # seconds between commands of a live instance
 
 class Killed(BaseException):
     """The monitor's process ends here, whatever it was about to catch."""
+
+
+@dataclass
+class Leak:
+    """Samples or probes that get past the gate, ``period`` seconds apart. Times are those of the world's clock."""
+
+    period: float
+    since: float
+    until: float = math.inf
 
 
 @dataclass
@@ -67,6 +77,10 @@ class Store:
     """Unclaimed pods (by name) that aren't in this workload's part of their pool."""
     stocked: set[str] = field(default_factory=set)
     """The shared pools that the operator says have a pod for it."""
+    leaks: dict[str, Leak] = field(default_factory=dict)
+    """Samples that arrive past the gate, by the name of the pod that sends them."""
+    probes_through: dict[str, Leak] = field(default_factory=dict)
+    """Probes that arrive past the gate, by the UID of the pod that sends them."""
     messages: list[str] = field(default_factory=list)
     """The messages to users about its wait for a pod."""
 
@@ -96,6 +110,11 @@ class World:
 
     def clock(self) -> float:
         return asyncio.get_running_loop().time()
+
+    def last_leaked(self, leak: Leak) -> float:
+        """When a leaking pod was last heard."""
+        now = min(self.clock(), leak.until)
+        return now - (now - leak.since) % leak.period if now >= leak.since else 0.0
 
     def effect(self) -> None:
         """Count a step at which the process may be killed: once before it takes effect, once after."""
@@ -162,7 +181,8 @@ class _Gate(_Part):
         return self.world.start_time if self.store.away else None
 
     def last_packet(self, uid: str) -> float | None:
-        return None
+        leak = self.store.probes_through.get(uid)
+        return self.world.last_leaked(leak) if leak is not None else None
 
 
 class _Instances(_Part):
@@ -327,6 +347,10 @@ class _Outputs(_Part):
         return self.world.clock()
 
     def last_from_others(self, instance: Instance | None) -> tuple[float, str]:
+        leaks = [(self.world.last_leaked(leak), name) for name, leak in self.store.leaks.items()]
         if self.store.beside and (former := self.store.gate.recovery and self.store.gate.recovery.former):
-            return self.world.clock() - 10.0, former.name
-        return 0.0, ""
+            leaks.append((self.world.clock() - 10.0, former.name))
+        return max(leaks, default=(0.0, ""))
+
+    def period_of_others(self, instance: Instance) -> float:
+        return max((leak.period for leak in self.store.leaks.values()), default=PERIOD)

@@ -106,6 +106,9 @@ class Outputs:
         last, name = max(lasts, default=(0.0, ""))
         return (last, name) if last > 0 else (0.0, "")
 
+    def period_of_others(self, instance: Instance) -> float:
+        return 0.0
+
 
 class Probes(Proof):
     """What gets through the gate, whether the application sends or not."""

@@ -49,6 +49,9 @@ class NoOutputs(Outputs):
     def last_from_others(self, instance: Instance | None) -> tuple[float, str]:
         return 0.0, ""
 
+    def period_of_others(self, instance: Instance) -> float:
+        return 0.0
+
 
 class GivenObserver(HealthObserver):
     """Sees of the robot what a test says."""

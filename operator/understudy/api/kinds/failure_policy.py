@@ -146,9 +146,8 @@ class Strategy(Model):
     RobotWorkload with the highest spec.poolPriority. Absent: the next strategy is tried immediately. See
     docs/waiting.md."""
     verify_within: Duration = "30s"
-    """Maximum time from the start of the strategy until it is verified: the robot receives outputs from the new
-    instance and from no other. After this time the next strategy is tried. Time spent waiting for a pod (waitFor) does
-    not count."""
+    """Maximum time from the start of the strategy until the robot receives outputs from the new instance. After this
+    time the next strategy is tried. Time spent waiting for a pod (waitFor) does not count."""
 
 
 _SITUATION_PATTERN = r"^[a-z0-9]([-a-z0-9]*[a-z0-9])?$"

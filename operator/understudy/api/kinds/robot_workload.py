@@ -323,7 +323,8 @@ class Moments(Model):
     first_output: Time | None = None
     """When the first output of the understudy arrived through the gate."""
     verified: Time | None = None
-    """When outputs of the understudy, and of no other instance, arrived through the gate."""
+    """When outputs of the understudy had arrived through the gate, and every other instance had been silent for one of
+    its periods and a margin."""
 
 
 class Attempt(Model):

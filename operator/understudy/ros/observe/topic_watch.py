@@ -557,6 +557,18 @@ class TopicWatch:
         ]
         return max(found) if found else None
 
+    def period_of_others(self, name: str, pod: str) -> float:
+        """Return the mean time in seconds between two samples of an instance that is certainly not this pod, within HISTORY.
+
+        The longest, if there are several such instances; 0 if none was received.
+        """
+        found = [
+            (record.arrivals[-1] - record.arrivals[0]) / (len(record.arrivals) - 1)
+            for host, record in self.records(name).items()
+            if (pods := self._sources.candidates(host)) and pod not in pods and len(record.arrivals) > 1
+        ]
+        return max(found, default=0.0)
+
     def _record_of(self, name: str, pod: str) -> SourceRecord | None:
         for host, record in self.records(name).items():
             if self._sources.candidates(host) == (pod,):

@@ -252,6 +252,9 @@ class Monitor:
     def last_from_others(self, instance: Instance | None) -> tuple[float, str]:
         return 0.0, ""
 
+    def period_of_others(self, instance: Instance) -> float:
+        return 0.0
+
 
 def _watched(known: Reflector, item: Object, *, selected: bool) -> None:
     """What a watch by labels does: an object that no longer has them is gone from it."""

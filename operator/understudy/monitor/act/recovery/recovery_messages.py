@@ -10,6 +10,8 @@ from understudy.api.kinds.robot_workload import Recovery
 def describe(recovery: Recovery) -> str:
     """Describe a finished recovery in one line, for Events and logs."""
     tried = "; ".join(f"{a.strategy}: {a.result}{f' ({a.message})' if a.message else ''}" for a in recovery.attempts)
+    if recovery.result != "Recovered" and recovery.to_pod:
+        return f"{recovery.reason}. {recovery.to_pod} is active, but it is not the only one that drives: {tried}"
     if recovery.result != "Recovered" or recovery.recovery_seconds is None:
         return f"{recovery.reason}. Every strategy was tried, and none was verified: {tried}"
     if recovery.follows and len(recovery.attempts) == 1 and not recovery.from_pod:
@@ -34,7 +36,8 @@ def describe_switchover(recovery: Recovery) -> str:
     last, first = recovery.moments.last_output, recovery.moments.first_output
     if recovery.result != "Recovered":
         tried = "; ".join(a.message for a in recovery.attempts if a.message)
-        return f"{recovery.reason}. {recovery.from_pod} can reach the robot again: {tried}"
+        active = f"{recovery.to_pod} is active" if recovery.to_pod else f"{recovery.from_pod} can reach the robot again"
+        return f"{recovery.reason}. {active}: {tried}"
     text = (
         f"{recovery.reason}. {recovery.to_pod} took over from {recovery.from_pod} with strategy {recovery.strategy} "
         f"(gate epoch {recovery.epoch})"

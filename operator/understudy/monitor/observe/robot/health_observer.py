@@ -304,5 +304,11 @@ class GatedReaders:
         ]
         return max(found, default=(0.0, ""))
 
+    def period_of_others(self, instance: Instance) -> float:
+        """Return the longest usual time in seconds between two samples of another instance on one topic; 0 if none was heard of late."""
+        self._drain()
+        name = instance.name
+        return max((self._watching.period_of_others(topic, name) for topic in self._observer.gated), default=0.0)
+
     def _drain(self) -> None:
         self._observer.drain(self._fleet.of_workload(), self._gate.state.active)

@@ -1,0 +1,87 @@
+"""After a commit, an instance counts as the only driver once everybody else was silent for one of their periods and a margin."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.unit.failover.recoveries import choices, failure, protected
+from tests.unit.failover.test_switchover import driven, switched
+from tests.unit.failover.world import Leak, Store, World
+from understudy.failover import protocol
+from understudy.failover.progress import Progress
+from understudy.failover.protocol import SILENCE_MARGIN, recover
+from understudy.failover.strategies.executing import ExecutingFallback
+from understudy.failover.strategies.restart import Restart
+
+SILENT_WITHIN = 1.0
+
+
+@pytest.fixture
+def _short_patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(protocol, "SILENT_WITHIN", SILENT_WITHIN)
+
+
+async def _recovered(store: Store, world: World) -> Progress:
+    return await recover(failure(world), choices(ExecutingFallback("hot"), Restart()), world.context())
+
+
+async def test_a_fenced_pod_that_sends_slowly_past_the_gate_is_heard_before_the_recovery_counts() -> None:
+    store = protected(pool="hot")
+    world = World(store)
+    began = world.clock()
+    store.leaks["w-1"] = Leak(0.3, began - 0.2, until=began + 0.8)  # so one look right after the switch sees nothing
+    done = await _recovered(store, world)
+    assert done.result == "Recovered"
+    assert done.moments["verified"] >= began + 0.7 + 0.3 + SILENCE_MARGIN - 0.02
+    assert done.moments["fenced"] >= began + 0.69, "the record says when it was really fenced"
+
+
+async def test_probes_of_a_fenced_pod_that_pass_are_a_leak_too() -> None:
+    store = protected(pool="hot")
+    world = World(store)
+    began = world.clock()
+    store.probes_through["uid-w-1"] = Leak(0.01, began, until=began + 0.5)
+    done = await _recovered(store, world)
+    assert done.moments["verified"] >= began + 0.49 + SILENCE_MARGIN
+    assert store.deleted == ["w-1"]
+
+
+@pytest.mark.usefixtures("_short_patience")
+async def test_a_leak_that_lasts_is_never_recorded_as_recovered_and_the_next_instance_stays() -> None:
+    store = protected(pool="hot")
+    world = World(store)
+    began = world.clock()
+    store.leaks["w-1"] = Leak(0.05, began)
+    done = await _recovered(store, world)
+    assert done.result == "Failed"
+    assert world.clock() - began >= SILENT_WITHIN
+    assert [(a.strategy, a.result) for a in done.attempts] == [("Fallback/Executing", "NotVerified")], (
+        "no other is tried"
+    )
+    assert "w-1" in done.attempts[0].message
+    assert store.deleted == ["w-1"], "the understudy has not failed"
+    assert "verified" not in done.moments
+
+
+async def test_a_leak_does_not_end_the_time_in_which_the_strategy_must_be_verified() -> None:
+    store = protected(pool="hot")
+    world = World(store)
+    store.leaks["w-1"] = Leak(0.05, world.clock(), until=world.clock() + 1.0)  # VERIFY_WITHIN is 0.3 s
+    assert (await _recovered(store, world)).result == "Recovered"
+
+
+async def test_nobody_else_heard_costs_one_period_and_the_margin() -> None:
+    store = protected(pool="hot")
+    world = World(store)
+    done = await _recovered(store, world)
+    assert SILENCE_MARGIN <= done.moments["verified"] - done.moments["fenced"] < SILENCE_MARGIN + 0.1
+
+
+@pytest.mark.usefixtures("_short_patience")
+async def test_a_switchover_whose_former_instance_goes_on_sending_is_not_recorded_as_done() -> None:
+    store = driven(pool="hot")
+    world = World(store)
+    store.leaks["w-1"] = Leak(0.05, world.clock())
+    done = await switched(world, ExecutingFallback("hot"))
+    assert (done.result, done.target and done.target.name) == ("Failed", "w-2")
+    assert store.deleted == ["w-1"]
