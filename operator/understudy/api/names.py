@@ -60,6 +60,9 @@ ADMITTED = f"{GROUP}/admitted"
 ADMITTED_UID = f"{GROUP}/admitted-uid"
 """Annotation of the gate: UID of that standby."""
 
+LET_THROUGH = f"{GROUP}/let-through"
+"""Annotation of the gate: name, UID and IP of the pods that it let through of late, as JSON, newest first."""
+
 RECOVERY = f"{GROUP}/recovery"
 """Annotation of the gate: the recovery that committed it, as JSON, so that a new monitor can complete it."""
 

@@ -12,6 +12,7 @@ from typing import Protocol
 
 from understudy.api.protocol.kept_state import KeptState, RestoreReport
 from understudy.failover.bring_up import BringUp
+from understudy.failover.pinned import PinnedPod
 from understudy.failover.progress import Progress
 from understudy.trees.core.observations import PodCondition
 
@@ -96,6 +97,8 @@ class GateState:
     admitted: str = ""
     """A standby that may reach the robot too: the robot's readers follow it if the active pod is silent (the reflex)."""
     admitted_uid: str = ""
+    pinned: tuple[PinnedPod, ...] = field(default=(), compare=False)
+    """The instances that the gate let through of late, newest first. They may still send although their pods are gone."""
 
     @property
     def closed(self) -> bool:

@@ -245,7 +245,8 @@ def _last_sign(target: Instance, progress: Progress, context: StrategyContext) -
     """Return when another instance last reached the robot, by samples and by packets through the gate, and which; 0 if none did."""
     now = context.clock()
     found = [context.outputs.last_from_others(target)]
-    pods = {pod.uid: pod.name for pod in progress.replaced} | {i.uid: i.name for i in context.instances.of_workload()}
+    pods = {pod.uid: pod.name for pod in context.gate.state.pinned} | {pod.uid: pod.name for pod in progress.replaced}
+    pods |= {i.uid: i.name for i in context.instances.of_workload()}
     pods.pop(target.uid, None)
     found += [(packet, name) for uid, name in pods.items() if (packet := context.gate.last_packet(uid)) is not None]
     # A time after ``now`` is from before the clock was set back.

@@ -122,14 +122,14 @@ class MonitorLoop:
 
     def _observe(self, policy: FailurePolicySpec, now: float) -> None:
         """Read the samples that have arrived, and the state of the workloads that this one depends on."""
-        dependencies, active = self.observe.dependencies, self._gate.state.active
+        dependencies, state = self.observe.dependencies, self._gate.state
         self.decide.limits.retries.update(self.decide.limits.spending.resumed, now)
         self._observer.follow(policy, self._view.spec)
         self.act.follow_safety(policy)
         dependencies.follow(self._view.settings)
         dependencies.update(now)
-        self._observer.drain(self._pods.of_workload(), active)
-        self.act.state_manager.take(policy.state, self._observer.addresses, active)
+        self._observer.drain(self._pods.of_workload(), state.active, state.pinned)
+        self.act.state_manager.take(policy.state, self._observer.addresses, state.active)
 
     async def evaluate(self, policy: FailurePolicySpec, now: float) -> Resolution:
         """Judge and decide once. ``now`` is in Unix seconds."""
@@ -252,7 +252,7 @@ class MonitorLoop:
         """Do the work that continues while a recovery is deferred."""
         if (policy := self._view.policy) is not None:
             self.act.follow_safety(policy)
-        self._observer.drain(self._pods.of_workload(), "")
+        self._observer.drain(self._pods.of_workload(), "", self._gate.state.pinned)
         self._housekeeping()
 
     def _housekeeping(self) -> None:

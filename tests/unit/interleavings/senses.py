@@ -12,6 +12,7 @@ from understudy.api.protocol.agent_messages import AgentStatus
 from understudy.api.protocol.kept_state import KeptState, RestoreReport
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotVerified
+from understudy.failover.pinned import PinnedPod
 from understudy.kube.gates.base import Proof
 from understudy.trees.core.health_tree import Verdict
 
@@ -46,7 +47,7 @@ class HealthObserver:
     def follow(self, policy: Any, spec: Any) -> None:
         return
 
-    def drain(self, instances: Sequence[Instance], active: str) -> None:
+    def drain(self, instances: Sequence[Instance], active: str, pinned: Sequence[PinnedPod] = ()) -> None:
         self._active = active
         self._looked()
 

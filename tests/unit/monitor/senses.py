@@ -9,6 +9,7 @@ from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.protocol.agent_messages import AgentStatus
 from understudy.failover.interfaces import Gate, Instance, Instances, Outputs
+from understudy.failover.pinned import PinnedPod
 from understudy.monitor.act.instances.state_manager import StateManager
 from understudy.monitor.observe.agent_connections import AgentConnections
 from understudy.monitor.observe.current_recovery import CurrentRecovery
@@ -79,7 +80,7 @@ class GivenObserver(HealthObserver):
     def follow(self, policy: FailurePolicySpec, spec: RobotWorkloadSpec | None) -> None:
         return
 
-    def drain(self, instances: Sequence[Instance], active: str) -> None:
+    def drain(self, instances: Sequence[Instance], active: str, pinned: Sequence[PinnedPod] = ()) -> None:
         return
 
     def outputs(self, fleet: Instances, gate: Gate) -> Outputs:

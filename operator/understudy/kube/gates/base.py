@@ -39,6 +39,8 @@ class GateRecord:
     admitted: str = ""
     """The standby that may reach the robot in addition to the pod in control, for the reflex."""
     admitted_uid: str = ""
+    let_through: str = ""
+    """JSON of the pods that the gate let through of late, or empty."""
 
     @classmethod
     def of(cls, gate: Object) -> GateRecord:
@@ -53,6 +55,7 @@ class GateRecord:
             version=gate["metadata"]["resourceVersion"],
             admitted=annotations.get(names.ADMITTED, ""),
             admitted_uid=annotations.get(names.ADMITTED_UID, ""),
+            let_through=annotations.get(names.LET_THROUGH, ""),
         )
 
 
@@ -158,12 +161,15 @@ class GateKind(ABC):
         active_uid: str = "",
         recovery: str = "",
         waits_for: str = "",
+        let_through: str = "",
     ) -> Object:
         """Return the merge patch that names the one pod that may reach the robot (none if ``active`` is empty).
 
         It applies to exactly the record ``over``. One atomic write fences the old pod and an admitted standby, and routes the new pod.
-        ``waits_for`` is the shared pool for whose pod the workload waits.
+        ``waits_for`` is the shared pool for whose pod the workload waits. ``let_through`` is the JSON of the pods that were let through
+        of late, this one included; empty to keep the list.
         """
+        pinned = {names.LET_THROUGH: let_through} if let_through else {}
         return {
             "metadata": {
                 "resourceVersion": over.version,
@@ -175,6 +181,7 @@ class GateKind(ABC):
                     names.RECOVERY: recovery,
                     names.ADMITTED: "",
                     names.ADMITTED_UID: "",
+                    **pinned,
                 },
             },
             **self.routing(workload, active),
@@ -194,17 +201,20 @@ class GateKind(ABC):
             }
         }
 
-    def admission(self, workload: str, *, over: GateRecord, admitted: str, admitted_uid: str) -> Object:
+    def admission(
+        self, workload: str, *, over: GateRecord, admitted: str, admitted_uid: str, let_through: str = ""
+    ) -> Object:
         """Return the merge patch that lets a standby through in addition to the pod in control (none if ``admitted`` is empty).
 
-        It applies to exactly the record ``over``. Control does not change, so the epoch stays. Raises ValueError if the gate is closed,
-        because then nobody may reach the robot.
+        It applies to exactly the record ``over``. Control does not change, so the epoch stays. ``let_through`` is as for a commitment.
+        Raises ValueError if the gate is closed, because then nobody may reach the robot.
         """
+        pinned = {names.LET_THROUGH: let_through} if let_through else {}
         if not over.active:
             raise ValueError(f"{self.object_kind} {names.gate(workload)} is closed: no standby can be let through")
         metadata = {
             "resourceVersion": over.version,
-            "annotations": {names.ADMITTED: admitted, names.ADMITTED_UID: admitted_uid},
+            "annotations": {names.ADMITTED: admitted, names.ADMITTED_UID: admitted_uid, **pinned},
         }
         return {"metadata": metadata, **self.routing(workload, over.active, admitted)}
 

@@ -8,8 +8,10 @@ from typing import Any
 import pytest
 
 from tests.unit.kube.memory import MemoryClient
+from tests.unit.monitor.cluster_objects import ClusterObjects
 from tests.unit.monitor.gates import gate as open_gate
-from understudy.failover.interfaces import Instance, Superseded
+from understudy.failover import pinned
+from understudy.failover.interfaces import GateState, Instance, Superseded
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import NETWORK_POLICIES, Object
 from understudy.kube.gates.base import GateRecord
@@ -124,3 +126,47 @@ async def test_after_a_failed_recovery_the_gate_opens_over_any_commit(
     await by_another(client, found, None)
     await gate.commit(THIRD, progress.model_copy(update={"result": "Failed"}))
     assert gate.state.active == THIRD.name
+
+
+def addressed(name: str, uid: str, ip: str) -> Instance:
+    return Instance(name=name, uid=uid, ip=ip, running=True)
+
+
+async def test_the_gate_keeps_the_identities_of_whom_it_let_through() -> None:
+    first, second, third = (addressed(f"w-{i}", f"u{i}", f"10.0.0.{i}") for i in (1, 2, 3))
+    objects = ClusterObjects()
+    objects.put_pods(first, second, third)
+    objects.put_gate(GateState(epoch=4, active="w-1", active_uid="u1"))  # by a version that kept no identities
+    progress = recovery(first)
+    await objects.gate.commit(second, progress)
+    assert [(pod.name, pod.uid, pod.ip) for pod in objects.gate.state.pinned] == [
+        ("w-2", "u2", "10.0.0.2"),
+        ("w-1", "u1", "10.0.0.1"),
+    ]
+    objects.put_pods(third)
+    await objects.gate.commit(None, progress)
+    assert [pod.uid for pod in objects.gate.state.pinned] == ["u2", "u1"], "although their pods are gone"
+    await objects.gate.commit(third, progress.model_copy(update={"result": "Failed"}))
+    assert [pod.uid for pod in objects.gate.state.pinned] == ["u3", "u2", "u1"]
+    writes = [method for method, name, _ in objects.client.requests if name == objects.gate_name]
+    assert writes == ["PATCH"] * 3, "it costs no further write"
+
+
+async def test_an_admitted_standby_is_kept_too() -> None:
+    first, second = (addressed(f"w-{i}", f"u{i}", f"10.0.0.{i}") for i in (1, 2))
+    objects = ClusterObjects()
+    objects.put_pods(first, second)
+    objects.put_gate(GateState(epoch=4, active="w-1", active_uid="u1"))
+    await objects.gate.admit(second)
+    await objects.gate.admit(None)
+    assert {pod.uid for pod in objects.gate.state.pinned} == {"u1", "u2"}
+
+
+def test_the_list_of_identities_is_bounded_and_an_invalid_one_is_ignored() -> None:
+    pods = [pinned.PinnedPod(name=f"w-{i}", uid=f"u{i}", ip="10.0.0.1") for i in range(2 * pinned.MOST)]
+    kept: tuple[pinned.PinnedPod, ...] = ()
+    for pod in pods:
+        kept = pinned.with_pods(kept, pod)
+    assert [pod.uid for pod in kept] == [pod.uid for pod in reversed(pods[-pinned.MOST :])]
+    assert pinned.read(pinned.write(kept)) == kept
+    assert pinned.read("[{") == pinned.read("") == ()

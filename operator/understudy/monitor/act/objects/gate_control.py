@@ -10,8 +10,10 @@ import time
 from pydantic import ValidationError
 
 from understudy.api import names
+from understudy.failover import pinned
 from understudy.failover.abandoned import AbandonedRecovery, ended
 from understudy.failover.interfaces import GateState, Instance, Superseded
+from understudy.failover.pinned import PinnedPod
 from understudy.failover.progress import Progress, beside
 from understudy.kube import claims
 from understudy.kube.client import FAILURES, NO_ANSWER, ApiError, Client
@@ -84,6 +86,7 @@ class GateControl:
             recovery=recovery,
             admitted=record.admitted,
             admitted_uid=record.admitted_uid,
+            pinned=pinned.read(record.let_through),
         )
 
     async def commit(self, target: Instance | None, progress: Progress | None) -> GateState:
@@ -106,11 +109,18 @@ class GateControl:
         waits_for = progress.waiting.pool if progress is not None and progress.waiting is not None else ""
         if progress is not None:
             self._own = (progress.id, previous.epoch, recovery)
+        let_through = self._pinned(previous, target)
         asked = time.monotonic()
         while True:
             try:
                 patch = self._kind.commitment(
-                    workload, over=record, active=name, active_uid=uid, recovery=recovery, waits_for=waits_for
+                    workload,
+                    over=record,
+                    active=name,
+                    active_uid=uid,
+                    recovery=recovery,
+                    waits_for=waits_for,
+                    let_through=let_through,
                 )
                 async with asyncio.timeout(TRY_WITHIN):
                     gate = await self._kind.write(self._client, self._view.namespace, workload, patch)
@@ -164,6 +174,14 @@ class GateControl:
                 f"another process changed the gate, which now admits {previous.active}; this recovery is for another instance"
             )
 
+    def _pinned(self, over: GateRecord, target: Instance | None) -> str:
+        """Return the pods that the gate let through of late, with this one, as JSON for its record; empty if there are none."""
+        # The list lacks the active pod if an earlier version opened the gate for it.
+        active = next((i for i in self._fleet.of_workload() if i.uid == over.active_uid), None)
+        named = [PinnedPod(name=i.name, uid=i.uid, ip=i.ip) for i in (target, active) if i is not None]
+        pods = pinned.with_pods(pinned.read(over.let_through), *named)
+        return pinned.write(pods) if pods else ""
+
     async def admit(self, standby: Instance | None) -> bool:
         """Let a standby through beside the active pod, or no standby (None). Returns whether the gate was written.
 
@@ -176,7 +194,10 @@ class GateControl:
         try:
             if standby is not None:
                 await self._fleet.label(standby)
-            patch = self._kind.admission(self._view.workload, over=record, admitted=name, admitted_uid=uid)
+            let_through = self._pinned(record, standby)
+            patch = self._kind.admission(
+                self._view.workload, over=record, admitted=name, admitted_uid=uid, let_through=let_through
+            )
             gate = await self._kind.write(self._client, self._view.namespace, self._view.workload, patch)
         except FAILURES as error:
             _logger.warning("could not admit %s at the gate: %r", name or "no standby", error)

@@ -11,12 +11,15 @@ from dataclasses import replace
 from understudy.api.kinds.failure_policy import FailurePolicySpec, Monitoring
 from understudy.api.kinds.robot_workload import Output, RobotWorkloadSpec
 from understudy.failover.interfaces import Gate, Instance, Instances, Outputs
+from understudy.failover.pinned import PinnedPod
 from understudy.monitor.observe.objects.resource_meter import ResourceMeter
 from understudy.monitor.observe.robot.context_detection import ContextDetection, SituationState
 from understudy.monitor.observe.robot.degraded_tree import BusyReason, DegradedTrees
+from understudy.monitor.observe.robot.known_senders import KnownSenders
 from understudy.ros.observe.offered_qos import offers
 from understudy.ros.observe.sample_rings import SampleRing
 from understudy.ros.observe.topic_watch import TopicWatch
+from understudy.ros.rmw import MIDDLEWARE
 from understudy.ros.runtime.arrival_wakeups import ArrivalWakeups
 from understudy.ros.runtime.graph_node import Graph
 from understudy.ros.runtime.interface_types import TypeNotInstalled, interface_class, message_fields
@@ -27,9 +30,6 @@ from understudy.trees.languages.notations import load_monitoring
 from understudy.trees.source.problems import TreeError
 
 _logger = logging.getLogger(__name__)
-
-REMEMBERED = 60.0
-"""Seconds for which samples are still attributed to a pod whose object is gone: the process may outlive the object."""
 
 CHECK_PERIOD = 0.002
 """Seconds between checks while a switch is being verified."""
@@ -55,13 +55,13 @@ class HealthObserver:
         self._context_detection = ContextDetection()
         self._aside: set[str] = set()
         """Topics that only degraded trees and situations need."""
-        self._addresses: dict[str, tuple[str, float]] = {}
+        self._senders = KnownSenders()
         self._pod: Instance | None = None
         self._asked: WatchedTopic | None = None
         """What trees need to know about the object of the active pod; None for nothing."""
         self._meter = meter
         self.addresses: dict[str, str] = {}
-        """IPs by pod name, of instances that exist or existed up to REMEMBERED seconds ago."""
+        """IPs by pod name, of the instances to which samples are attributed: those that exist or that are gone and may still send."""
 
     def follow(self, policy: FailurePolicySpec, spec: RobotWorkloadSpec | None) -> None:
         """Watch the topics that this policy and this workload need. If a tree does not load, the last one stays in force."""
@@ -182,15 +182,13 @@ class HealthObserver:
         counting = self._tree.counting(self._watching, now=now, since=now)
         return [topic for topic in self.gated if topic in counting]
 
-    def drain(self, instances: Sequence[Instance], active: str) -> None:
-        """Read the messages that have arrived, and attribute them to the instances that exist or existed until recently."""
-        now = time.time()
-        for instance in instances:
-            if instance.ip:
-                self._addresses[instance.name] = (instance.ip, now)
-        for name in [n for n, (_, last_time) in self._addresses.items() if now - last_time > REMEMBERED]:
-            del self._addresses[name]
-        self.addresses = {name: ip for name, (ip, _) in self._addresses.items()}
+    def drain(self, instances: Sequence[Instance], active: str, pinned: Sequence[PinnedPod] = ()) -> None:
+        """Read the messages that have arrived, and attribute them to the instances that exist or may still send.
+
+        ``pinned`` are those that the gate let through of late.
+        """
+        self._senders.update(instances, pinned, self._last_at, time.time())
+        self.addresses = {name: sender.ip for name, sender in self._senders.named().items() if sender.attributed}
         self._watching.attribute(self.addresses, active)
         self._watching.drain()
         self._update_pod_state(instances, active)
@@ -199,6 +197,16 @@ class HealthObserver:
             self._tree.leave_out(unwatchable - self._aside)
         self._degraded_trees.leave_out(unwatchable)
         self._context_detection.leave_out(unwatchable)
+
+    def _last_at(self, ip: str) -> float | None:
+        """Return when an output was last heard from an address; None if never."""
+        try:
+            host = MIDDLEWARE.host_at(ip)
+        except ValueError:  # an IPv6 address
+            return None
+        topics = (output.topic for output in self._outputs if output.topic)
+        found = [record.last for topic in topics if (record := self._watching.records(topic).get(host)) is not None]
+        return max((last for last in found if last is not None), default=None)
 
     def _update_pod_state(self, instances: Sequence[Instance], active: str) -> None:
         """Pass the state of the active pod's object to the trees, if one of them needs it."""
@@ -311,4 +319,5 @@ class GatedReaders:
         return max((self._watching.period_of_others(topic, name) for topic in self._observer.gated), default=0.0)
 
     def _drain(self) -> None:
-        self._observer.drain(self._fleet.of_workload(), self._gate.state.active)
+        state = self._gate.state
+        self._observer.drain(self._fleet.of_workload(), state.active, state.pinned)

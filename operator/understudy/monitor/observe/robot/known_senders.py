@@ -1,0 +1,91 @@
+"""The instances that samples are attributed to: those that exist, and those that are gone and may still send.
+
+A process may outlive its pod's object. An instance that the gate once let through stays known until it was silent for long enough, also
+after a restart of the monitor; any other one for a minute.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from understudy.failover.interfaces import Instance
+from understudy.failover.pinned import PinnedPod
+
+REMEMBERED = 60.0
+"""Seconds for which all samples are attributed to an instance that is gone, after its object was last seen or an output of it was heard.
+After that, samples of other topics are not: its address may belong to another pod by then."""
+
+SILENT_FOR = 600.0
+"""Seconds of silence after which an instance that the gate let through, and that is gone, is no longer watched for."""
+
+
+@dataclass
+class KnownSender:
+    """An instance. Times are Unix seconds."""
+
+    name: str
+    uid: str
+    ip: str
+    seen: float
+    """When its object was last seen, or when this process first read that it was let through."""
+    listed: bool
+    """Whether its object exists."""
+    pinned: bool = False
+    """Whether the gate let it through."""
+    attributed: bool = True
+    """Whether all its samples are attributed to it, and not only those of outputs."""
+
+
+class KnownSenders:
+    """The known instances of one workload."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, KnownSender] = {}
+        self._released: set[str] = set()
+        """UIDs of pinned instances that were silent for long enough."""
+
+    def update(
+        self,
+        instances: Sequence[Instance],
+        pinned: Sequence[PinnedPod],
+        heard: Callable[[str], float | None],
+        now: float,
+    ) -> None:
+        """Follow the instances that exist and those that were let through.
+
+        ``heard`` returns when an output was last heard from an IP (Unix seconds).
+        """
+        before, self._known = self._known, {}
+        for instance in instances:
+            if instance.ip:
+                self._known[instance.uid] = KnownSender(instance.name, instance.uid, instance.ip, now, listed=True)
+        taken = {sender.ip for sender in self._known.values()}
+        pins = {pod.uid: pod for pod in pinned}
+        self._released &= pins.keys()
+        for uid, pod in pins.items():
+            if uid in self._known:
+                self._known[uid].pinned = True
+            elif uid not in before and uid not in self._released:
+                before[uid] = KnownSender(pod.name, uid, pod.ip, now, listed=False, attributed=False)
+        for uid, sender in before.items():
+            if uid in self._known:
+                continue
+            is_pinned = uid in pins
+            sender.seen = min(sender.seen, now)  # the clock may have been set back
+            is_replaced = sender.ip in taken  # what is heard from there is the successor's
+            last_heard = heard(sender.ip) if not is_replaced else None
+            silent = now - max(sender.seen, min(last_heard or 0.0, now))
+            if silent >= (SILENT_FOR if is_pinned and not is_replaced else REMEMBERED):
+                self._released |= {uid} if is_pinned else set()
+                continue
+            sender.listed, sender.pinned = False, is_pinned
+            sender.attributed = silent < REMEMBERED and (sender.attributed or last_heard is not None)
+            self._known[uid] = sender
+
+    def named(self) -> Mapping[str, KnownSender]:
+        """Return the known instances by name. One that is gone does not have the name of a successor, as in a StatefulSet."""
+        found: dict[str, KnownSender] = {}
+        for sender in sorted(self._known.values(), key=lambda one: (not one.listed, -one.seen)):
+            found[sender.name if sender.name not in found else f"{sender.name} ({sender.uid})"] = sender
+        return found
