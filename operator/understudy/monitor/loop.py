@@ -269,3 +269,4 @@ class MonitorLoop:
         judged = self.judge.enforcement.judge(others)
         self.act.reflexes.keep(time.time(), enforced=judged[0] == "True", paused=paused)
         self.judge.enforcement.report(judged)
+        self.judge.sole_driver.report(time.time())

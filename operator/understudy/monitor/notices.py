@@ -46,6 +46,7 @@ CONDITIONS = frozenset(
         "Monitored",
         "GateEnforced",
         "OutputsRead",
+        "SoleDriver",
         "Recovering",
         "Degraded",
         "Reflex",
@@ -300,6 +301,13 @@ class PodClaimed(Notice):
 
     result: str
     seconds: float
+
+
+@dataclass(frozen=True)
+class LeaksCounted(Notice):
+    """Number of instances that reach the robot although the gate does not let them through."""
+
+    count: int
 
 
 @dataclass(frozen=True)

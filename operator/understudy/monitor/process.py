@@ -107,7 +107,7 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         roles = InstanceRoles(view, gate, current)
         agents = AgentConnections(client, view, address, crash_points, roles, wakeups)
         meter = ResourceMeter(client, namespace, workload)
-        observer = HealthObserver(meter)
+        observer = HealthObserver(meter, address)
         black_box = BlackBox(view, observer, notices, RecordingArchive(state / "kept" / "recordings"))
         await serve(black_box.pages, names.RECORDINGS_PORT, host="127.0.0.1")
         readership = RobotReaders(view, observer, notices, address)

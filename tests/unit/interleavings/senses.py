@@ -14,6 +14,7 @@ from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotVerified
 from understudy.failover.pinned import PinnedPod
 from understudy.kube.gates.base import Proof
+from understudy.monitor.observe.robot.known_senders import KnownSender, OutputSender
 from understudy.trees.core.health_tree import Verdict
 
 GAP = 0.5
@@ -83,6 +84,12 @@ class HealthObserver:
 
     def outputs(self, fleet: Any, gate: Any) -> Outputs:
         return Outputs(self._robots, self._workload)
+
+    def known_senders(self) -> Sequence[KnownSender]:
+        return ()
+
+    def output_senders(self) -> Sequence[OutputSender]:
+        return ()
 
 
 class Outputs:

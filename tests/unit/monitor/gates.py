@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from tests.unit.kube.memory import MemoryClient
@@ -26,6 +26,9 @@ class Packets(Proof):
 
     def last(self, uid: str) -> float | None:
         return self._last.get(uid)
+
+    def heard_since(self, time: float) -> Sequence[str]:
+        return [uid for uid, last in self._last.items() if last >= time]
 
     async def wait(self, uid: str, after: float) -> float:
         while (last := self._last.get(uid, 0.0)) < after:

@@ -17,6 +17,7 @@ from understudy.monitor.observe.instance_roles import InstanceRoles
 from understudy.monitor.observe.robot.context_detection import SituationState
 from understudy.monitor.observe.robot.degraded_tree import BusyReason
 from understudy.monitor.observe.robot.health_observer import HealthObserver
+from understudy.monitor.observe.robot.known_senders import KnownSender, OutputSender
 from understudy.monitor.observe.robot.robot_readers import RobotReaders
 from understudy.monitor.observe.senses import Senses
 from understudy.ros.runtime.graph_node import Endpoint, Graph
@@ -73,6 +74,10 @@ class GivenObserver(HealthObserver):
         """When each topic was received from each pod, of late."""
         self.twins: set[str] = set()
         """Pods that cannot be distinguished from others."""
+        self.senders: list[KnownSender] = []
+        """The instances that exist, and those that are gone and may still send."""
+        self.heard: list[OutputSender] = []
+        """Who sent on an output."""
         self.troubles: list[str] = []
         self.unpublished: list[str] = []
         self.tree: Snapshot | None = None
@@ -85,6 +90,12 @@ class GivenObserver(HealthObserver):
 
     def outputs(self, fleet: Instances, gate: Gate) -> Outputs:
         return NoOutputs()
+
+    def known_senders(self) -> Sequence[KnownSender]:
+        return self.senders
+
+    def output_senders(self) -> Sequence[OutputSender]:
+        return self.heard
 
     def verdict(self, *, now: float, since: float) -> Verdict:
         return self.health

@@ -486,7 +486,8 @@ class RobotWorkloadStatus(Model):
     and the stricter tree of the policy's spec.degraded fails. Resized: the active pod has the resources that the policy
     sets for a degraded workload. GateEnforced: probe packets show that only the pods for which the gate is open (the
     active pod and, with a reflex, one standby) can reach the robot, and the robot reads no output at a port outside the
-    gate. OutputsRead: the robot reads every topic of spec.outputs at gated ports. Recovering: a recovery is in
+    gate. SoleDriver: no instance reaches the robot that the gate does not let through, by the messages on all outputs
+    and by probe packets; Unknown if a sender on an output is no known instance. OutputsRead: the robot reads every topic of spec.outputs at gated ports. Recovering: a recovery is in
     progress. Paused: spec.pause is in effect. WithinBudget (if the policy has limits.budget): the budget allows another
     recovery. BroughtUp: bringUp and the pools' initializations have succeeded on every instance. Reflex (if
     spec.gate.reflex is set): the gate is also open for a standby, so that the robot's DataReaders switch to it if the

@@ -44,6 +44,7 @@ _ABOUT = {
     "DependencyFailed": "suspended by a dependency",
     "DependenciesResolved": "dependencies not resolved",
     "GateEnforced": "gate not enforced",
+    "SoleDriver": "several drivers",
     "OutputsRead": "outputs bypass the gate",
     "BroughtUp": "bring-up failed",
     "Resized": "not resized",

@@ -16,7 +16,7 @@ from understudy.controller.observed import kube_objects
 from understudy.controller.reconcile.object_store import Store
 from understudy.kube.client import POOLS, WORKLOADS, Object
 
-CONDITIONS = ("Accepted", "Reconciled", "Protected", "Monitored", "GateEnforced")
+CONDITIONS = ("Accepted", "Reconciled", "Protected", "Monitored", "GateEnforced", "SoleDriver")
 """Conditions of a workload that may need an alert while they are not True."""
 
 _OF_WORKLOAD = ["namespace", "workload"]

@@ -70,6 +70,10 @@ class Proof(Protocol):
     def last(self, uid: str) -> float | None:
         """Return when a packet of a pod last passed the gate, in Unix seconds; None if none did."""
 
+    def heard_since(self, time: float) -> Sequence[str]:
+        """Return the UIDs of all pods of which a packet has passed the gate since a time (Unix seconds)."""
+        return ()
+
     async def wait(self, uid: str, after: float) -> float:
         """Wait for a packet of a pod, and return when the first one at or after a time passed the gate, in Unix seconds."""
 

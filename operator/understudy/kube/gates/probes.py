@@ -198,6 +198,10 @@ class Arrivals:
         """Return when a pod's probes arrived, in order."""
         return self._arrivals.get(uid, ())
 
+    def heard_since(self, time: float) -> list[str]:
+        """Return the pods whose last probe arrived at or after a time."""
+        return [uid for uid, arrivals in self._arrivals.items() if arrivals and arrivals[-1] >= time]
+
     def add(self, uid: str, arrival: float) -> None:
         """Record that a pod's probe arrived."""
         arrivals = self._arrivals.get(uid)
@@ -262,6 +266,11 @@ class ProbeReceiver:
         self._take()
         arrivals = self._arrivals.of(uid)
         return arrivals[-1] if arrivals else None
+
+    def heard_since(self, time: float) -> Sequence[str]:
+        """Return the UIDs of all pods of which a probe has arrived since a time (Unix seconds)."""
+        self._take()
+        return self._arrivals.heard_since(time)
 
     def count_since(self, uid: str, time: float) -> int:
         """Return the number of a pod's probes that arrived at or after a time, as far as they are remembered."""

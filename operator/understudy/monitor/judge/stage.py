@@ -14,6 +14,7 @@ from understudy.monitor.judge.failure_detection import Failure, FailureDetector
 from understudy.monitor.judge.gate_enforcement import GateEnforcement
 from understudy.monitor.judge.reflex_takeover import ReflexTakeover
 from understudy.monitor.judge.situation_tracking import SituationTracking
+from understudy.monitor.judge.sole_driver import SoleDriver
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.senses import Senses
@@ -58,10 +59,12 @@ class JudgeStage:
         self.levels = DegradationLevel(senses.observer, notices)
         self.situations = SituationTracking(senses.observer, notices)
         self.enforcement = GateEnforcement(gate, senses.probes, notices, senses.readership)
+        self.sole_driver = SoleDriver(gate, senses.probes, senses.observer, notices)
 
     def judge(self, policy: FailurePolicySpec, now: float, trusted_from: float) -> Judgement:
         """Return the judgement: a takeover by the reflex comes first, then a lost pod, then the health tree."""
         self.enforcement.update(now)
+        self.sole_driver.update(self._pods.of_workload(), now)
         state = self._gate.state
         if state.closed:
             return Judgement(now, trusted_from)

@@ -21,6 +21,7 @@ from understudy.monitor.notices import (
     BudgetCounted,
     FailureDetected,
     GateCommitted,
+    LeaksCounted,
     Notice,
     PauseChanged,
     PodAwaited,
@@ -89,6 +90,9 @@ _SITUATION = Gauge(
 )
 _BUDGET = Gauge("understudy_budget_left", "Recoveries that limits.budget has left, by its window.", ["within"])
 _PAUSED = Gauge("understudy_paused", "1 while the workload is paused (spec.pause).")
+_LEAKS = Gauge(
+    "understudy_leaking_instances", "Instances that reach the robot although the gate does not let them through."
+)
 _HELD = Counter(
     "understudy_recoveries_held", "Failures that were not recovered at once, by the limit that deferred them.", ["why"]
 )
@@ -125,6 +129,8 @@ def count(notice: Notice) -> None:
             _WAITS.labels(pool=pool, result=result).observe(max(0.0, seconds))
         case PodClaimed(result, seconds):
             _CLAIMS.labels(result=result).observe(max(0.0, seconds))
+        case LeaksCounted(leaking):
+            _LEAKS.set(leaking)
         case GateCommitted(seconds):
             _GATES.observe(max(0.0, seconds))
 

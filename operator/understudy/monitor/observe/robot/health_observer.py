@@ -15,7 +15,7 @@ from understudy.failover.pinned import PinnedPod
 from understudy.monitor.observe.objects.resource_meter import ResourceMeter
 from understudy.monitor.observe.robot.context_detection import ContextDetection, SituationState
 from understudy.monitor.observe.robot.degraded_tree import BusyReason, DegradedTrees
-from understudy.monitor.observe.robot.known_senders import KnownSenders
+from understudy.monitor.observe.robot.known_senders import KnownSender, KnownSenders, OutputSender
 from understudy.ros.observe.offered_qos import offers
 from understudy.ros.observe.sample_rings import SampleRing
 from understudy.ros.observe.topic_watch import TopicWatch
@@ -41,8 +41,8 @@ POD_CHECK_PERIOD = 0.1
 class HealthObserver:
     """Receives the topics of the health tree, and evaluates the tree."""
 
-    def __init__(self, meter: ResourceMeter | None = None) -> None:
-        """``meter`` measures CPU and memory of the active pod; without it, no leaf can judge them."""
+    def __init__(self, meter: ResourceMeter | None = None, address: str = "") -> None:
+        """``meter`` measures CPU and memory of the active pod; without it, no leaf can judge them. ``address`` is the IP of this pod."""
         self.graph = Graph("understudy_monitor")
         self.coming = ArrivalWakeups()
         """Reports messages that must be evaluated when they arrive."""
@@ -60,6 +60,7 @@ class HealthObserver:
         self._asked: WatchedTopic | None = None
         """What trees need to know about the object of the active pod; None for nothing."""
         self._meter = meter
+        self._own_host = _host(address)
         self.addresses: dict[str, str] = {}
         """IPs by pod name, of the instances to which samples are attributed: those that exist or that are gone and may still send."""
 
@@ -102,11 +103,12 @@ class HealthObserver:
                 need = replace(need, type=known.type)  # the health tree's type: its subscription must not change
             wanted[need.name] = known.joined(need) if known is not None else need
         self._asked = next((topic for topic in wanted.values() if topic.pod), None)
-        if spec is not None and spec.gate.reflex is not None:
-            # The reflex needs to know which instance publishes each output, even if no tree judges the output.
+        if spec is not None:
+            # Which instances publish each output matters even if no tree judges the output: only one may.
             for name, type_ in types.items():
-                need = WatchedTopic(name, type_, 0.0, None)
-                wanted[name] = wanted[name].joined(need) if name in wanted else need
+                if message_fields(type_) is not None:
+                    need = WatchedTopic(name, type_, 0.0, None)
+                    wanted[name] = wanted[name].joined(need) if name in wanted else need
         self._watching.follow(
             topic if topic.type else replace(topic, type=types.get(topic.name)) for topic in wanted.values()
         )
@@ -200,13 +202,35 @@ class HealthObserver:
 
     def _last_at(self, ip: str) -> float | None:
         """Return when an output was last heard from an address; None if never."""
-        try:
-            host = MIDDLEWARE.host_at(ip)
-        except ValueError:  # an IPv6 address
-            return None
+        host = _host(ip)
         topics = (output.topic for output in self._outputs if output.topic)
         found = [record.last for topic in topics if (record := self._watching.records(topic).get(host)) is not None]
         return max((last for last in found if last is not None), default=None)
+
+    def known_senders(self) -> Sequence[KnownSender]:
+        """Return the instances that exist, and those that are gone and may still send."""
+        return self._senders.all()
+
+    def output_senders(self) -> Sequence[OutputSender]:
+        """Return who sent on each output that is a topic, and when last. This pod is left out."""
+        hosts: dict[bytes, list[KnownSender]] = {}
+        for sender in self._senders.all():
+            hosts.setdefault(_host(sender.ip), []).append(sender)
+        found: list[OutputSender] = []
+        for topic in dict.fromkeys(output.topic for output in self._outputs if output.topic):
+            for host, record in self._watching.records(topic).items():
+                if record.last is None or host == self._own_host:
+                    continue
+                senders = sorted(hosts.get(host, ()), key=lambda one: not one.listed)
+                name = senders[0].name if senders else self._nodes_at(host, topic)
+                uid = senders[0].uid if senders else ""
+                found.append(OutputSender(topic, name, uid, tuple(one.uid for one in senders), record.last))
+        return found
+
+    def _nodes_at(self, host: bytes, topic: str) -> str:
+        """Return the nodes of a host that publish a topic, as text."""
+        there = [end.node for end in self.graph.publishers(topic) if MIDDLEWARE.host_of(end.gid) == host and end.node]
+        return ", ".join(sorted(set(there))) or "an unnamed node"
 
     def _update_pod_state(self, instances: Sequence[Instance], active: str) -> None:
         """Pass the state of the active pod's object to the trees, if one of them needs it."""
@@ -265,6 +289,14 @@ class HealthObserver:
     def outputs(self, fleet: Instances, gate: Gate) -> Outputs:
         """Return the gated readers in the form that the failover protocol uses."""
         return GatedReaders(self, self._watching, fleet, gate)
+
+
+def _host(address: str) -> bytes:
+    """Return what identifies the writers of a host in their GIDs; empty if its address does not tell, as an IPv6 address."""
+    try:
+        return MIDDLEWARE.host_at(address)
+    except ValueError:
+        return b""
 
 
 class GatedReaders:

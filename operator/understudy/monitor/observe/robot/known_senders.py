@@ -37,6 +37,21 @@ class KnownSender:
     """Whether all its samples are attributed to it, and not only those of outputs."""
 
 
+@dataclass(frozen=True)
+class OutputSender:
+    """Who sent on an output."""
+
+    topic: str
+    name: str
+    """The instance; or the nodes, if it is none."""
+    uid: str
+    """The UID of the instance; empty if the sender is none."""
+    may_be: tuple[str, ...]
+    """The UIDs of the instances that it may be: several if they cannot be distinguished."""
+    last: float
+    """When its last sample arrived, in Unix seconds."""
+
+
 class KnownSenders:
     """The known instances of one workload."""
 
@@ -82,6 +97,10 @@ class KnownSenders:
             sender.listed, sender.pinned = False, is_pinned
             sender.attributed = silent < REMEMBERED and (sender.attributed or last_heard is not None)
             self._known[uid] = sender
+
+    def all(self) -> Sequence[KnownSender]:
+        """Return the known instances."""
+        return list(self._known.values())
 
     def named(self) -> Mapping[str, KnownSender]:
         """Return the known instances by name. One that is gone does not have the name of a successor, as in a StatefulSet."""

@@ -1,0 +1,213 @@
+"""Judges, for as long as the workload lives, whether an instance reaches the robot that the gate does not let through.
+
+The signs are samples on all outputs that are topics, by their senders' addresses, and packets that pass the gate, by the senders' UIDs.
+Instances whose pods are being deleted or are gone count too: their processes may live on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+from understudy.failover.interfaces import Gate, Instance
+from understudy.kube.gates.base import Proof
+from understudy.monitor.notices import ConditionReport, LeaksCounted, Notices
+from understudy.monitor.observe.robot.known_senders import KnownSender, OutputSender
+
+LASTS = 1.0
+"""Seconds between the first and the last sign of a sender after which it counts. The network may take that long to enforce a change."""
+
+QUIET = 5.0
+"""Seconds of silence after which a sender no longer reaches the robot; longer for one that sends less often. Agents probe once a second."""
+
+MEMORY = 60.0
+"""Seconds for which a sign is remembered, so that a slow sender counts too."""
+
+PERIOD = 0.2
+"""Seconds between two updates."""
+
+CONDITION = "SoleDriver"
+
+PROBES = "test packets"
+
+
+@dataclass(frozen=True)
+class Sign:
+    """A sign that somebody reaches the robot. Times are Unix seconds."""
+
+    name: str
+    """The instance; or the node, for a sender that is no known instance."""
+    uid: str
+    """The UID of its pod; empty for a sender that cannot be attributed."""
+    via: str
+    """The topic, or PROBES."""
+    last: float
+    is_former: bool = False
+    """Whether the gate let it through before, or its pod is being deleted or is gone: a further deletion may not end it."""
+
+
+@dataclass(frozen=True)
+class Track:
+    """The signs of one sender since it is not let through."""
+
+    sign: Sign
+    first: float
+    gap: float = 0.0
+    """The longest time between two of them."""
+
+    @property
+    def lasts(self) -> bool:
+        """Whether there were signs for longer than the network may need to enforce a change."""
+        return self.sign.last - self.first >= LASTS
+
+    def is_heard(self, now: float) -> bool:
+        """Whether the sender still reaches the robot."""
+        return now - self.sign.last < max(QUIET, 2 * self.gap)
+
+
+Tracks = Mapping[tuple[str, str], Track]
+"""The tracks by UID (or name) and by how the sender reaches the robot."""
+
+
+def tracked(
+    before: Tracks, signs: Sequence[Sign], fenced: Mapping[str, float], *, let_through: Collection[str], now: float
+) -> Tracks:
+    """Return the tracks with these signs of senders that are not let through.
+
+    ``fenced`` has the time at which the gate stopped letting an instance through, by UID; ``let_through`` the UIDs of those it names.
+    """
+    found = {
+        key: one for key, one in before.items() if one.sign.uid not in let_through and 0 <= now - one.sign.last < MEMORY
+    }
+    for sign in signs:
+        if sign.uid in let_through or not fenced.get(sign.uid, 0.0) < sign.last <= now or now - sign.last >= MEMORY:
+            continue
+        key = (sign.uid or sign.name, sign.via)
+        known = found.get(key)
+        if known is None:
+            found[key] = Track(sign, sign.last)
+        else:
+            found[key] = replace(known, sign=sign, gap=max(known.gap, sign.last - known.sign.last))
+    return found
+
+
+@dataclass(frozen=True)
+class Leak:
+    """An instance that reaches the robot although the gate does not let it through."""
+
+    name: str
+    uid: str
+    is_former: bool
+    """As for :class:`Sign`."""
+
+
+def leaks(tracks: Tracks, now: float) -> tuple[Leak, ...]:
+    """Return the instances that reach the robot and are not let through, by name."""
+    found = {
+        one.sign.uid: Leak(one.sign.name, one.sign.uid, one.sign.is_former)
+        for one in tracks.values()
+        if one.sign.uid and one.lasts and one.is_heard(now)
+    }
+    return tuple(sorted(found.values(), key=lambda leak: leak.name))
+
+
+def judge(tracks: Tracks, active: str, now: float) -> ConditionReport:
+    """Return status, reason and message of the condition SoleDriver. ``active`` is the pod that the gate names, or empty."""
+    heard = [one for one in tracks.values() if one.lasts and one.is_heard(now)]
+    if found := leaks(tracks, now):
+        ways = {leak.uid: sorted(one.sign.via for one in heard if one.sign.uid == leak.uid) for leak in found}
+        listed = "; ".join(f"{leak.name} by {', '.join(ways[leak.uid])}" for leak in found)
+        return (
+            "False",
+            "SeveralDrivers" if active else "FormerDriver",
+            f"Instances reach the robot although the gate does not let them through: {listed}. "
+            + (f"The gate lets through {active}." if active else "The gate is closed until they are silent."),
+        )
+    if heard:
+        listed = "; ".join(sorted(f"{one.sign.via} by {one.sign.name}" for one in heard))
+        return (
+            "Unknown",
+            "UnknownSender",
+            f"A sender that is no known instance of this workload reaches the robot: {listed}. It is a second driver, unless it is a tool.",
+        )
+    return "True", "NoOtherSender", "Nobody reaches the robot whom the gate does not let through."
+
+
+class Outputs(Protocol):
+    """The samples on the outputs, as far as a sole driver depends on them."""
+
+    def output_senders(self) -> Sequence[OutputSender]:
+        """Return who sent on each output that is a topic, and when last."""
+
+    def known_senders(self) -> Sequence[KnownSender]:
+        """Return the instances that exist, and those that are gone and may still send."""
+
+
+class SoleDriver:
+    """Judges and reports whether one workload has a sole driver. Times are Unix seconds."""
+
+    def __init__(self, gate: Gate, probes: Proof, outputs: Outputs, notices: Notices) -> None:
+        self._gate, self._probes, self._outputs, self._notices = gate, probes, outputs, notices
+        self._tracks: Tracks = {}
+        self._fenced: dict[str, float] = {}
+        self._through: frozenset[str] = frozenset()
+        self._updated = 0.0
+        self.leaks: Sequence[Leak] = ()
+        """The instances that reach the robot and are not let through."""
+
+    def update(self, instances: Sequence[Instance], now: float) -> None:
+        """Take the signs up to now, at most every PERIOD seconds."""
+        state = self._gate.state
+        through = frozenset(uid for uid in (state.active_uid, state.admitted_uid) if uid)
+        if through != self._through:
+            self._fenced |= dict.fromkeys(self._through - through, now)
+            self._through = through
+            known = {i.uid for i in instances} | {one.uid for one in self._outputs.known_senders()}
+            self._fenced = {uid: at for uid, at in self._fenced.items() if uid not in through and uid in known}
+        elif 0 <= now - self._updated < PERIOD:
+            return
+        self._updated = now
+        self._fenced = {uid: min(at, now) for uid, at in self._fenced.items()}  # the clock may have been set back
+        signs = self._signs(instances, now)
+        self._tracks = tracked(self._tracks, signs, self._fenced, let_through=through, now=now)
+        found = leaks(self._tracks, now)
+        if found != self.leaks:
+            self.leaks = found
+            self._notices.add(LeaksCounted(len(found)))
+            self.report(now)
+
+    def _signs(self, instances: Sequence[Instance], now: float) -> list[Sign]:
+        leaving = {i.uid for i in instances if i.terminating}
+        known = {one.uid: one for one in self._outputs.known_senders()}
+
+        def is_former(uid: str) -> bool:
+            return (
+                uid in self._fenced or uid in leaving or (uid in known and (known[uid].pinned or not known[uid].listed))
+            )
+
+        found = [
+            Sign(one.name, one.uid, one.topic, one.last, is_former(one.uid))
+            for one in self._outputs.output_senders()
+            if self._through.isdisjoint(one.may_be)
+        ]
+        names = {uid: one.name for uid, one in known.items()} | {i.uid: i.name for i in instances}
+        passed = {
+            uid: self._probes.last(uid) for uid in {*names, *self._probes.heard_since(now - MEMORY)} - self._through
+        }
+        # A pod that is no known instance is told apart by its UID.
+        return found + [
+            Sign(names.get(uid, f"the pod with UID {uid}"), uid if uid in names else "", PROBES, last, is_former(uid))
+            for uid, last in passed.items()
+            if last is not None
+        ]
+
+    def may_be_driven(self, now: float) -> bool:
+        """Return whether an instance that drove before was heard of late, so that the gate must not open for another one."""
+        return any(one.sign.uid and one.sign.is_former and one.is_heard(now) for one in self._tracks.values())
+
+    def report(self, now: float) -> None:
+        """Report the judgement."""
+        judged = judge(self._tracks, self._gate.state.active, now)
+        if self._notices.condition(CONDITION, *judged) and judged[0] != "True":
+            self._notices.event("Warning", judged[1], judged[2])

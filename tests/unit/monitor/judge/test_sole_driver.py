@@ -1,0 +1,160 @@
+"""Whether somebody besides the instance that the gate lets through reaches the robot, for as long as the workload lives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from tests.unit.monitor.cluster_objects import ClusterObjects
+from tests.unit.monitor.senses import GivenObserver
+from understudy.failover.interfaces import GateState, Instance
+from understudy.monitor.judge.sole_driver import (
+    LASTS,
+    MEMORY,
+    PERIOD,
+    PROBES,
+    QUIET,
+    SoleDriver,
+    Tracks,
+    leaks,
+    tracked,
+)
+from understudy.monitor.judge.sole_driver import Sign as _Sign
+from understudy.monitor.notices import LeaksCounted
+from understudy.monitor.observe.robot.known_senders import KnownSender, OutputSender
+
+NOW = 1_000_000.0
+FORMER = Instance("w-1", "uid-w-1", ip="10.0.0.1", running=True)
+ACTIVE = Instance("w-2", "uid-w-2", ip="10.0.0.2", running=True)
+
+
+def signs(name: str, *times: float, uid: str | None = None, fenced: float = 0.0) -> Tracks:
+    """Return the tracks of a sender after signs at these times, while w-2 is let through."""
+    found: Tracks = {}
+    uid = f"uid-{name}" if uid is None else uid
+    for at in times:
+        sign = _Sign(name, uid, "/cmd_vel", at)
+        found = tracked(found, [sign], {uid: fenced}, let_through={"uid-w-2"}, now=at)
+    return found
+
+
+def test_signs_of_who_is_let_through_are_none_of_another() -> None:
+    assert not signs("w-2", NOW, NOW + 1, NOW + 2)
+
+
+def test_a_sender_counts_only_if_it_is_heard_for_longer_than_the_network_may_need() -> None:
+    assert not leaks(signs("w-1", NOW, NOW + LASTS / 2), NOW + LASTS / 2)
+    assert [leak.uid for leak in leaks(signs("w-1", NOW, NOW + LASTS), NOW + LASTS)] == ["uid-w-1"]
+
+
+def test_signs_from_before_the_fence_do_not_count() -> None:
+    assert not signs("w-1", NOW, NOW + LASTS, fenced=NOW + LASTS)
+
+
+def test_a_slow_sender_counts_from_its_second_sign_and_stays_for_two_of_its_periods() -> None:
+    found = signs("w-1", NOW, NOW + 20)
+    assert leaks(found, NOW + 20 + 39)
+    assert not leaks(found, NOW + 20 + 41)
+    assert not tracked(found, [], {}, let_through=(), now=NOW + 20 + MEMORY)
+
+
+class Watched:
+    """A workload that w-2 drives after w-1."""
+
+    def __init__(self) -> None:
+        self.objects = ClusterObjects()
+        self.observer, self.notices = GivenObserver(), self.objects.notices
+        self.judged = SoleDriver(self.objects.gate, self.objects.proof, self.observer, self.notices)
+        self.now = NOW
+        self.instances: Sequence[Instance] = (FORMER, ACTIVE)
+        self.objects.put_gate(GateState(epoch=3, active="w-1", active_uid="uid-w-1"))
+        self.update()
+        self.objects.put_gate(GateState(epoch=4, active="w-2", active_uid="uid-w-2"))
+        self.update()
+
+    def update(self, seconds: float = PERIOD) -> None:
+        self.now += seconds
+        self.judged.update(self.instances, self.now)
+        self.judged.report(self.now)
+
+    def listen(self, *, topic: str = "", name: str = "w-1", uid: str = "uid-w-1", probes: bool = False) -> None:
+        """A sender is heard ten times in two seconds."""
+        for _ in range(10):
+            if topic:
+                self.observer.heard = [OutputSender(topic, name, uid, (uid,) if uid else (), self.now + PERIOD)]
+            if probes:
+                self.objects.packets[uid] = self.now + PERIOD
+            self.update()
+
+    @property
+    def condition(self) -> tuple[str, str, str]:
+        return self.notices.conditions["SoleDriver"]
+
+
+def test_a_fenced_instance_that_goes_on_sending_makes_the_condition_false_until_it_is_silent() -> None:
+    watched = Watched()
+    assert watched.condition[:2] == ("True", "NoOtherSender")
+    watched.listen(topic="/arm")  # an output that no health tree has to watch
+    status, reason, message = watched.condition
+    assert (status, reason) == ("False", "SeveralDrivers")
+    assert "w-1 by /arm" in message
+    assert watched.notices.reasons == ["SeveralDrivers"]
+    assert [one.count for one in watched.notices.log if isinstance(one, LeaksCounted)] == [1]
+    watched.update(QUIET)
+    assert watched.condition[:2] == ("True", "NoOtherSender")
+
+
+def test_probes_that_pass_the_gate_are_signs_whatever_kind_of_output_the_workload_has() -> None:
+    watched = Watched()
+    watched.listen(probes=True)
+    assert f"w-1 by {PROBES}" in watched.condition[2]
+    (leak,) = watched.judged.leaks
+    assert (leak.uid, leak.is_former) == ("uid-w-1", True)
+
+
+def test_an_instance_whose_pod_is_gone_counts() -> None:
+    watched = Watched()
+    watched.instances = (ACTIVE,)
+    watched.observer.senders = [KnownSender("w-1", "uid-w-1", "10.0.0.1", NOW, listed=False, pinned=True)]
+    watched.listen(topic="/cmd_vel")
+    assert watched.condition[:2] == ("False", "SeveralDrivers")
+    assert watched.judged.may_be_driven(watched.now)
+
+
+def test_a_sender_that_cannot_be_attributed_is_a_possible_second_driver() -> None:
+    watched = Watched()
+    watched.listen(topic="/cmd_vel", name="/teleop", uid="")
+    status, reason, message = watched.condition
+    assert (status, reason) == ("Unknown", "UnknownSender")
+    assert "/cmd_vel by /teleop" in message
+    assert not watched.judged.leaks
+
+
+def test_probes_of_a_pod_that_is_no_known_instance_are_a_possible_second_driver() -> None:
+    watched = Watched()
+    watched.listen(probes=True, uid="uid-stray")
+    assert watched.condition[:2] == ("Unknown", "UnknownSender")
+    assert "uid-stray" in watched.condition[2]
+
+
+def test_a_sender_that_may_be_the_active_instance_does_not_count() -> None:
+    watched = Watched()
+    for _ in range(10):
+        sender = OutputSender("/cmd_vel", "w-1", "uid-w-1", ("uid-w-1", "uid-w-2"), watched.now + PERIOD)
+        watched.observer.heard = [sender]
+        watched.update()
+    assert watched.condition[0] == "True"
+
+
+def test_an_admitted_standby_does_not_count() -> None:
+    watched = Watched()
+    state = GateState(epoch=4, active="w-2", active_uid="uid-w-2", admitted="w-1", admitted_uid="uid-w-1")
+    watched.objects.put_gate(state)
+    watched.listen(topic="/cmd_vel", probes=True)
+    assert watched.condition[0] == "True"
+
+
+def test_while_the_gate_is_closed_the_former_driver_counts() -> None:
+    watched = Watched()
+    watched.objects.put_gate(GateState(epoch=5))
+    watched.listen(topic="/cmd_vel", name="w-2", uid="uid-w-2")
+    assert watched.condition[:2] == ("False", "FormerDriver")
