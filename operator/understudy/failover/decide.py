@@ -57,7 +57,7 @@ class Limit(StrEnum):
 class Requirement:
     """A requirement of a trigger that is not met."""
 
-    reason: Literal["NoPodRunning", "NoPodReady", "NotHealthy", "FirstStrategyUnavailable"]
+    reason: Literal["NoPodRunning", "NoPodReady", "StillDriven", "NotHealthy", "FirstStrategyUnavailable"]
     words: str = ""
 
 
@@ -235,6 +235,13 @@ LIMITS: tuple[LimitRow, ...] = (
         _UNMET, frozenset({Trigger.INITIAL_ACTIVATION}), Wait, "NoPodRunning", "no pod of the workload is running"
     ),
     LimitRow(_UNMET, frozenset({Trigger.INITIAL_ACTIVATION}), Wait, "NoPodReady", "no pod of the workload is ready"),
+    LimitRow(
+        _UNMET,
+        frozenset({Trigger.INITIAL_ACTIVATION}),
+        Wait,
+        "StillDriven",
+        "an instance that was in control before may still reach the robot",
+    ),
     LimitRow(_UNMET, frozenset({Trigger.SWITCHOVER_REQUESTED}), Defer, "NotHealthy", "{words}"),
     LimitRow(
         Limit.WAIT_AFTER_RECOVERY,

@@ -164,6 +164,9 @@ class Instances(Protocol):
     async def retire(self, instance: Instance) -> None:
         """Delete a failed pod. Its controller creates another one only if that is still needed."""
 
+    async def end(self, instance: Instance) -> None:
+        """Delete a pod that reaches the robot although it must not, with the shortest grace period, also if it is being deleted already."""
+
     async def replace(self, failed: Sequence[Instance]) -> None:
         """Delete failed pods and make the workload's own controller run a new one."""
 

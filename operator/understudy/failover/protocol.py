@@ -229,7 +229,7 @@ async def alone(target: Instance, progress: Progress, context: StrategyContext) 
             _logger.warning(
                 "%s still reached the robot %.0f ms after the gate was closed to it: waiting for silence", pod, late
             )
-            await retire(progress, context)
+            await _end(progress, context)
         quiet_from = max(fenced, last)
         if (left := quiet_from + silence - clock()) <= 0:
             break
@@ -251,6 +251,14 @@ def _last_sign(target: Instance, progress: Progress, context: StrategyContext) -
     found += [(packet, name) for uid, name in pods.items() if (packet := context.gate.last_packet(uid)) is not None]
     # A time after ``now`` is from before the clock was set back.
     return max((sign for sign in found if sign[0] <= now), default=(0.0, ""))
+
+
+async def _end(progress: Progress, context: StrategyContext) -> None:
+    """Delete the pods that failed, with the shortest grace period, because one of them still reaches the robot."""
+    await retire(progress, context)
+    for instance in context.instances.of_workload():
+        if progress.has_failed(instance.uid):
+            await context.instances.end(instance)
 
 
 async def retire(progress: Progress, context: StrategyContext) -> None:

@@ -79,8 +79,13 @@ class MonitorLoop:
         self.observe = ObserveStage(cluster.view, senses, notices)
         self.judge = JudgeStage(cluster.view, cluster.pods, cluster.gate, senses, notices)
         self.decide = DecideStage(cluster.view, senses.agents, context, self.judge, self.observe.dependencies, notices)
-        self.act = ActStage(cluster, senses, parts.state_manager, parts.journal, self.decide, notices)
-        self.report = ReportStage(cluster.view, cluster.gate, senses.observer, self.decide, self.act, notices)
+        self.act = ActStage(
+            cluster, senses, parts.state_manager, parts.journal, self.decide, self.judge.sole_driver, notices
+        )
+        sole_driver = self.judge.sole_driver
+        self.report = ReportStage(
+            cluster.view, cluster.gate, senses.observer, self.decide, self.act, sole_driver, notices
+        )
         self._next_slow = 0.0
         self._new_until = -math.inf
         """Until when (monotonic seconds) the agent of an understudy may not be connected yet."""
@@ -128,7 +133,8 @@ class MonitorLoop:
         self.act.follow_safety(policy)
         dependencies.follow(self._view.settings)
         dependencies.update(now)
-        self._observer.drain(self._pods.of_workload(), state.active, state.pinned)
+        instances = [*self._pods.of_workload(), *self.act.strays.instances]
+        self._observer.drain(instances, state.active, state.pinned)
         self.act.state_manager.take(policy.state, self._observer.addresses, state.active)
 
     async def evaluate(self, policy: FailurePolicySpec, now: float) -> Resolution:
@@ -140,6 +146,8 @@ class MonitorLoop:
         self.report.judged(judgement)
         self.decide.judged(judgement)
         self.act.judged(judgement)
+        if self.decide.limits.pauses.on is None and await self.act.leaks.respond(policy, now):
+            return Resolution(Wait("GateClosed"))
         prepared = self._prepared_switchover(judgement)
         resolution = self.decide.decide(policy, judgement, prepared)
         if resolution.candidates is not None:
@@ -270,3 +278,4 @@ class MonitorLoop:
         self.act.reflexes.keep(time.time(), enforced=judged[0] == "True", paused=paused)
         self.judge.enforcement.report(judged)
         self.judge.sole_driver.report(time.time())
+        self.act.strays.look(*self.judge.sole_driver.unknown(time.time()))

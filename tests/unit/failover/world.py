@@ -231,6 +231,9 @@ class _Instances(_Part):
         self.store.deleted.append(instance.name)
         self.world.effect()
 
+    async def end(self, instance: Instance) -> None:
+        await self.retire(instance)
+
     async def replace(self, failed: Sequence[Instance]) -> None:
         for instance in failed:
             await self.retire(instance)

@@ -100,8 +100,8 @@ class MemoryClient(Client):
         self._changed(place)
         return copy.deepcopy(found)
 
-    async def delete(self, resource: Resource, namespace: str | None, name: str, **_: Any) -> None:
-        self._note("DELETE", name)
+    async def delete(self, resource: Resource, namespace: str | None, name: str, **options: Any) -> None:
+        self._note("DELETE", name, options)
         place = (resource.plural, namespace or "", name)
         if place in self.items:
             self.items[place]["metadata"]["resourceVersion"] = self._next_version()

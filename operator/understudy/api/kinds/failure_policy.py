@@ -336,6 +336,10 @@ class FailurePolicySpec(Model):
     """Whether recoveries or limits take precedence. Normal: limits can delay a recovery. If no strategy was verified,
     all of them are tried again after a retry delay, which doubles each time from 2 s to 1 min. Safety: limits never
     delay a recovery (cooldown has no effect), and the retry delay is always 2 s."""
+    on_leak: Literal["Close", "Continue"] = "Close"
+    """What to do while an instance that was in control before still reaches the robot past the gate. Its pod is deleted
+    in any case. Close: the gate is closed for the active instance too, until the other one is silent, so that only one
+    drives. Continue: the active instance continues to drive. See docs/safety.md."""
     safety: Safety | None = None
     """Safe commands: messages that the monitor sends to the robot while no instance controls it."""
     black_box: BlackBox | None = None

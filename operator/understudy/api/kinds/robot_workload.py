@@ -487,10 +487,11 @@ class RobotWorkloadStatus(Model):
     sets for a degraded workload. GateEnforced: probe packets show that only the pods for which the gate is open (the
     active pod and, with a reflex, one standby) can reach the robot, and the robot reads no output at a port outside the
     gate. SoleDriver: no instance reaches the robot that the gate does not let through, by the messages on all outputs
-    and by probe packets; Unknown if a sender on an output is no known instance. OutputsRead: the robot reads every topic of spec.outputs at gated ports. Recovering: a recovery is in
-    progress. Paused: spec.pause is in effect. WithinBudget (if the policy has limits.budget): the budget allows another
-    recovery. BroughtUp: bringUp and the pools' initializations have succeeded on every instance. Reflex (if
-    spec.gate.reflex is set): the gate is also open for a standby, so that the robot's DataReaders switch to it if the
-    active instance fails. Draining: the active pod's node is being drained, and evictions wait until an instance on
-    another node has taken over. TasksProxied (if spec.tasks is set): the proxy serves all tasks. StateKept: everything
-    in the policy's spec.state is kept. StateRestored: the last instance that took over received all of it."""
+    and by probe packets; Unknown if a sender on an output is no known instance. OutputsRead: the robot reads every
+    topic of spec.outputs at gated ports. Recovering: a recovery is in progress. Paused: spec.pause is in effect.
+    WithinBudget (if the policy has limits.budget): the budget allows another recovery. BroughtUp: bringUp and the
+    pools' initializations have succeeded on every instance. Reflex (if spec.gate.reflex is set): the gate is also open
+    for a standby, so that the robot's DataReaders switch to it if the active instance fails. Draining: the active pod's
+    node is being drained, and evictions wait until an instance on another node has taken over. TasksProxied (if
+    spec.tasks is set): the proxy serves all tasks. StateKept: everything in the policy's spec.state is kept.
+    StateRestored: the last instance that took over received all of it."""

@@ -6,11 +6,13 @@ import time
 
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.monitor.act.gate.gate_opening import GateOpening
+from understudy.monitor.act.gate.leak_response import LeakResponse
 from understudy.monitor.act.gate.reflex_guard import ReflexGuard
 from understudy.monitor.act.instances.garbage_collection import GarbageCollection
 from understudy.monitor.act.instances.pod_labels import PodLabels
 from understudy.monitor.act.instances.standby_supervision import StandbySupervision
 from understudy.monitor.act.instances.state_manager import StateManager
+from understudy.monitor.act.instances.stray_pods import StrayPods
 from understudy.monitor.act.objects.cluster import Cluster
 from understudy.monitor.act.recovery.abandonment import Abandonment
 from understudy.monitor.act.recovery.deferred_recovery import DeferredRecovery
@@ -19,6 +21,7 @@ from understudy.monitor.act.recovery.recovery_journal import RecoveryJournal
 from understudy.monitor.act.recovery.recovery_runner import RecoveryRunner, RecoveryStart
 from understudy.monitor.act.safe_commands import SafeCommands, Unattended
 from understudy.monitor.decide.stage import DecideStage
+from understudy.monitor.judge.sole_driver import SoleDriver
 from understudy.monitor.judge.stage import Judgement
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.senses import Senses
@@ -35,6 +38,7 @@ class ActStage:
         state_manager: StateManager,
         journal: RecoveryJournal,
         decide: DecideStage,
+        sole_driver: SoleDriver,
         notices: Notices,
     ) -> None:
         self._cluster, self._senses, takeover = cluster, senses, decide.takeover
@@ -50,6 +54,8 @@ class ActStage:
         self.reflexes = ReflexGuard(cluster, senses, takeover, notices)
         self.start = RecoveryStart(cluster, self.switchovers, self.garbage, limits.retries, takeover)
         self.opening = GateOpening(cluster.pods, cluster.gate, notices)
+        self.strays = StrayPods(cluster.view)
+        self.leaks = LeakResponse(cluster.pods, self.strays, cluster.gate, sole_driver, notices)
         self.deferral = DeferredRecovery(cluster, limits, current, journal, notices)
         self.recoveries = RecoveryRunner(cluster.view, options, state_manager, current, self.abandonment, notices)
         self._labels = PodLabels(cluster.pods)

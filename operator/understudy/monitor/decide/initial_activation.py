@@ -19,11 +19,13 @@ class Candidates:
 
     running: Sequence[Instance]
     ready: Sequence[Instance]
+    rightful: str = ""
+    """The UID of the instance for which the gate was closed because of a leak; empty for none."""
 
     @property
     def first(self) -> Instance:
-        """The preferred pod: a pod of the workload's own controller before a standby, then the oldest."""
-        return min(self.ready, key=lambda i: (not i.from_source, i.created, i.name))
+        """The preferred pod: the one that was active until a leak, a pod of the workload's own controller, then the oldest."""
+        return min(self.ready, key=lambda i: (i.uid != self.rightful, not i.from_source, i.created, i.name))
 
     @property
     def unmet(self) -> Requirement | None:
@@ -40,16 +42,17 @@ class InitialActivation:
         self._fleet, self._agents = fleet, agents
         self._started = time.time()
 
-    def candidates(self, policy: FailurePolicySpec, now: float, *, paused: bool) -> Candidates:
+    def candidates(self, policy: FailurePolicySpec, now: float, *, paused: bool, rightful: str = "") -> Candidates:
         """Return the pods that the gate may open for at a time (Unix seconds).
 
         For half of the policy's startupGrace, only ready pods of the workload's own controller count. After that, standbys count too,
         and if no pod is ready, running pods: an application may need an answer of the robot before it publishes its outputs.
+        ``rightful`` is the UID of the instance for which the gate was closed because of a leak; it counts at once.
         """
         running = [i for i in self._fleet.of_workload() if i.usable and not i.held]
         ready = [i for i in running if not i.has_agent or self._agents.is_ready(i)[0]]
         if running and not paused:
             self._started = min(self._started, now)  # the clock may have been set back
         if now - self._started <= seconds(policy.monitoring.startup_grace) / 2:
-            return Candidates(running, [i for i in ready if i.from_source])
-        return Candidates(running, ready or running)
+            return Candidates(running, [i for i in ready if i.from_source or i.uid == rightful], rightful)
+        return Candidates(running, ready or running, rightful)

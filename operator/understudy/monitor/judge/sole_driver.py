@@ -6,6 +6,7 @@ Instances whose pods are being deleted or are gone count too: their processes ma
 
 from __future__ import annotations
 
+import time
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -23,6 +24,9 @@ QUIET = 5.0
 
 MEMORY = 60.0
 """Seconds for which a sign is remembered, so that a slow sender counts too."""
+
+LISTEN = 2.0
+"""Seconds that a new monitor listens before it opens a closed gate. Agents probe once a second."""
 
 PERIOD = 0.2
 """Seconds between two updates."""
@@ -45,6 +49,10 @@ class Sign:
     last: float
     is_former: bool = False
     """Whether the gate let it through before, or its pod is being deleted or is gone: a further deletion may not end it."""
+    host: bytes = b""
+    """What identifies its host in the GIDs of its samples, for a sender that cannot be attributed."""
+    pod_uid: str = ""
+    """The UID in its packets, for a sender that cannot be attributed."""
 
 
 @dataclass(frozen=True)
@@ -100,14 +108,16 @@ class Leak:
     uid: str
     is_former: bool
     """As for :class:`Sign`."""
+    first: float
+    """When it was first heard, in Unix seconds."""
 
 
 def leaks(tracks: Tracks, now: float) -> tuple[Leak, ...]:
     """Return the instances that reach the robot and are not let through, by name."""
+    heard = [one for one in tracks.values() if one.sign.uid and one.lasts and one.is_heard(now)]
     found = {
-        one.sign.uid: Leak(one.sign.name, one.sign.uid, one.sign.is_former)
-        for one in tracks.values()
-        if one.sign.uid and one.lasts and one.is_heard(now)
+        one.sign.uid: Leak(one.sign.name, one.sign.uid, one.sign.is_former, one.first)
+        for one in sorted(heard, key=lambda one: -one.first)
     }
     return tuple(sorted(found.values(), key=lambda leak: leak.name))
 
@@ -153,14 +163,19 @@ class SoleDriver:
         self._fenced: dict[str, float] = {}
         self._through: frozenset[str] = frozenset()
         self._updated = 0.0
+        self._listening_since = time.monotonic()
         self.leaks: Sequence[Leak] = ()
         """The instances that reach the robot and are not let through."""
+        self.rightful = ""
+        """The UID of the instance for which the gate was closed because of a leak; empty if it was not."""
 
     def update(self, instances: Sequence[Instance], now: float) -> None:
         """Take the signs up to now, at most every PERIOD seconds."""
         state = self._gate.state
         through = frozenset(uid for uid in (state.active_uid, state.admitted_uid) if uid)
-        if through != self._through:
+        is_other = through != self._through
+        if is_other:
+            self.rightful = "" if through else self.rightful
             self._fenced |= dict.fromkeys(self._through - through, now)
             self._through = through
             known = {i.uid for i in instances} | {one.uid for one in self._outputs.known_senders()}
@@ -175,6 +190,8 @@ class SoleDriver:
         if found != self.leaks:
             self.leaks = found
             self._notices.add(LeaksCounted(len(found)))
+            is_other = True
+        if is_other:
             self.report(now)
 
     def _signs(self, instances: Sequence[Instance], now: float) -> list[Sign]:
@@ -187,7 +204,7 @@ class SoleDriver:
             )
 
         found = [
-            Sign(one.name, one.uid, one.topic, one.last, is_former(one.uid))
+            Sign(one.name, one.uid, one.topic, one.last, is_former(one.uid), b"" if one.uid else one.host)
             for one in self._outputs.output_senders()
             if self._through.isdisjoint(one.may_be)
         ]
@@ -195,16 +212,32 @@ class SoleDriver:
         passed = {
             uid: self._probes.last(uid) for uid in {*names, *self._probes.heard_since(now - MEMORY)} - self._through
         }
-        # A pod that is no known instance is told apart by its UID.
-        return found + [
-            Sign(names.get(uid, f"the pod with UID {uid}"), uid if uid in names else "", PROBES, last, is_former(uid))
-            for uid, last in passed.items()
-            if last is not None
-        ]
+        for uid, last in passed.items():
+            if last is not None and uid in names:
+                found.append(Sign(names[uid], uid, PROBES, last, is_former(uid)))
+            elif last is not None:
+                found.append(Sign(f"the pod with UID {uid}", "", PROBES, last, pod_uid=uid))
+        return found
 
     def may_be_driven(self, now: float) -> bool:
-        """Return whether an instance that drove before was heard of late, so that the gate must not open for another one."""
-        return any(one.sign.uid and one.sign.is_former and one.is_heard(now) for one in self._tracks.values())
+        """Return whether an instance that drove before may still drive, so that the gate must not open for another one.
+
+        It was heard of late, or this monitor has only just begun to listen for it.
+        """
+        is_new = time.monotonic() - self._listening_since < LISTEN
+        if is_new and any(pod.uid != self.rightful for pod in self._gate.state.pinned):
+            return True
+        signs = (one.sign for one in self._tracks.values() if one.is_heard(now))
+        return any(sign.uid and sign.is_former and sign.uid != self.rightful for sign in signs)
+
+    def close_for(self, active_uid: str) -> None:
+        """Note that the gate is being closed for this instance because of a leak, so that it opens for it again first."""
+        self.rightful = active_uid
+
+    def unknown(self, now: float) -> tuple[set[bytes], set[str]]:
+        """Return the hosts and the pods' UIDs of senders that are no known instances."""
+        signs = [one.sign for one in self._tracks.values() if not one.sign.uid and one.is_heard(now)]
+        return {sign.host for sign in signs if sign.host}, {sign.pod_uid for sign in signs if sign.pod_uid}
 
     def report(self, now: float) -> None:
         """Report the judgement."""

@@ -7,6 +7,7 @@ from understudy.failover.interfaces import Gate
 from understudy.monitor.act.safe_commands import SafeCommands
 from understudy.monitor.decide.initial_activation import Candidates
 from understudy.monitor.decide.strategy_options import StrategyOptions
+from understudy.monitor.judge.sole_driver import SoleDriver
 from understudy.monitor.judge.stage import Judgement
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.objects.cluster_view import ClusterView
@@ -23,9 +24,10 @@ class StatusConditions:
         observer: HealthObserver,
         safety: SafeCommands,
         options: StrategyOptions,
+        sole_driver: SoleDriver,
         notices: Notices,
     ) -> None:
-        self._view, self._gate, self._observer = view, gate, observer
+        self._view, self._gate, self._observer, self._sole_driver = view, gate, observer, sole_driver
         self._safety, self._options, self._notices = safety, options, notices
 
     def judged(self, judgement: Judgement) -> None:
@@ -33,19 +35,27 @@ class StatusConditions:
         state, verdict = self._gate.state, judgement.verdict
         if verdict is None:
             return
+        leaks = self._sole_driver.leaks if judgement.healthy else ()
         self._notices.set(
             active=state.active,
-            health="Degraded" if judgement.degraded and judgement.healthy else verdict.state,
+            health="Degraded" if (judgement.degraded or leaks) and judgement.healthy else verdict.state,
             gate=GateStatus(epoch=state.epoch, active=state.active),
         )
         status = {"Healthy": "True", "Failed": "False", "Starting": "Unknown"}[verdict.state]
-        self._notices.condition("Healthy", status, verdict.state, verdict.reason)
+        if leaks:
+            others = ", ".join(leak.name for leak in leaks)
+            words = f"The health tree of {state.active} succeeds, but {others} reaches the robot too."
+            self._notices.condition("Healthy", "False", "SeveralDrivers", words)
+        else:
+            self._notices.condition("Healthy", status, verdict.state, verdict.reason)
         if judgement.settled and self._notices.status.reason("Recovering") not in ("", "Recovered", "HealthyAgain"):
             self._notices.condition("Recovering", "False", "HealthyAgain", f"{state.active} is healthy again.")
 
     def none_active(self, candidates: Candidates) -> None:
         """Report that the gate is closed and no recovery is in progress."""
         health: Health = "Starting" if candidates.running else "Unknown"
+        if self._sole_driver.leaks:
+            health = "Failed"
         self._notices.set(active="", health=health, gate=GateStatus(epoch=self._gate.state.epoch))
 
     def housekeeping(self) -> None:

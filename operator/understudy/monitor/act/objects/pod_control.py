@@ -27,6 +27,9 @@ CRASH_LOOP = "CrashLoopBackOff"
 EVICTION = "DeletionByTaintManager"
 """Reason in the condition DisruptionTarget of a pod that is deleted because its node is not ready or unreachable."""
 
+SHORTEST_GRACE = 1
+"""Grace period in seconds for a pod that still reaches the robot. With 0 its object would be gone at once, whether it has ended or not."""
+
 STATEFUL_SET_GRACE = 1
 """Grace period in seconds for a failed pod of a StatefulSet. Its replacement has the same name and waits until it is gone."""
 
@@ -156,6 +159,11 @@ class PodControl:
         else:
             await self._delete(instance)
 
+    async def end(self, instance: Instance) -> None:
+        """Delete a pod that still reaches the robot, with the shortest grace period, also if it is being deleted already."""
+        self._crash_points.step("before retire")
+        await self._delete(instance, SHORTEST_GRACE)
+
     async def replace(self, failed: Sequence[Instance]) -> None:
         """Delete failed pods and have the workload's own controller run a new one.
 
@@ -190,8 +198,9 @@ class PodControl:
             body = {"metadata": {"uid": instance.uid, "labels": wanted}}
             self._view.pods.put(await self._client.patch(PODS, self._view.namespace, instance.name, body))
 
-    async def _delete(self, instance: Instance) -> None:
-        grace = STATEFUL_SET_GRACE if self._settings.source_kind == "StatefulSet" else None
+    async def _delete(self, instance: Instance, grace: int | None = None) -> None:
+        if grace is None and self._settings.source_kind == "StatefulSet":
+            grace = STATEFUL_SET_GRACE
         await self._client.delete(PODS, self._view.namespace, instance.name, uid=instance.uid, grace_seconds=grace)
 
     async def _scale(self, replicas: int) -> None:

@@ -15,7 +15,7 @@ from understudy.failover.pinned import PinnedPod
 from understudy.monitor.observe.objects.resource_meter import ResourceMeter
 from understudy.monitor.observe.robot.context_detection import ContextDetection, SituationState
 from understudy.monitor.observe.robot.degraded_tree import BusyReason, DegradedTrees
-from understudy.monitor.observe.robot.known_senders import KnownSender, KnownSenders, OutputSender
+from understudy.monitor.observe.robot.known_senders import REMEMBERED, KnownSender, KnownSenders, OutputSender
 from understudy.ros.observe.offered_qos import offers
 from understudy.ros.observe.sample_rings import SampleRing
 from understudy.ros.observe.topic_watch import TopicWatch
@@ -212,19 +212,19 @@ class HealthObserver:
         return self._senders.all()
 
     def output_senders(self) -> Sequence[OutputSender]:
-        """Return who sent on each output that is a topic, and when last. This pod is left out."""
+        """Return who sent on each output that is a topic of late, and when last. This pod is left out."""
         hosts: dict[bytes, list[KnownSender]] = {}
         for sender in self._senders.all():
             hosts.setdefault(_host(sender.ip), []).append(sender)
         found: list[OutputSender] = []
         for topic in dict.fromkeys(output.topic for output in self._outputs if output.topic):
             for host, record in self._watching.records(topic).items():
-                if record.last is None or host == self._own_host:
+                if record.last is None or host == self._own_host or time.time() - record.last > REMEMBERED:
                     continue
                 senders = sorted(hosts.get(host, ()), key=lambda one: not one.listed)
                 name = senders[0].name if senders else self._nodes_at(host, topic)
                 uid = senders[0].uid if senders else ""
-                found.append(OutputSender(topic, name, uid, tuple(one.uid for one in senders), record.last))
+                found.append(OutputSender(topic, name, uid, tuple(one.uid for one in senders), record.last, host))
         return found
 
     def _nodes_at(self, host: bytes, topic: str) -> str:

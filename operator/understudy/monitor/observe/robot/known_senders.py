@@ -50,6 +50,8 @@ class OutputSender:
     """The UIDs of the instances that it may be: several if they cannot be distinguished."""
     last: float
     """When its last sample arrived, in Unix seconds."""
+    host: bytes = b""
+    """What identifies its host in GIDs."""
 
 
 class KnownSenders:

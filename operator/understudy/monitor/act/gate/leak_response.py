@@ -1,0 +1,106 @@
+"""Ends what reaches the robot although the gate does not let it through: deletes its pod, and closes the gate until it is silent."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import math
+import time
+from collections.abc import Sequence
+
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.failover.abandoned import ended
+from understudy.failover.interfaces import Instance, Superseded
+from understudy.kube.client import FAILURES
+from understudy.monitor.act.instances.stray_pods import StrayPods
+from understudy.monitor.act.objects.gate_control import GateControl
+from understudy.monitor.act.objects.pod_control import PodControl
+from understudy.monitor.judge.sole_driver import SoleDriver
+from understudy.monitor.notices import Notices
+
+_logger = logging.getLogger(__name__)
+
+END_AGAIN = 10.0
+"""Seconds until a pod that still reaches the robot is deleted again."""
+
+STANDBY_LASTS = 5.0
+"""Seconds after which an instance that was never in control is deleted: the network may take some time with a new pod."""
+
+STANDBY_AGAIN = 60.0
+"""Minimum seconds between two deletions of instances that were never in control. If the network enforces nothing, every standby leaks, and
+its replacement does too."""
+
+CLOSE_WITHIN = 2.0
+"""Seconds that the API server has to close the gate; then the loop goes on, and it is tried again."""
+
+
+class LeakResponse:
+    """Responds to the leaks of one workload."""
+
+    def __init__(
+        self, fleet: PodControl, strays: StrayPods, gate: GateControl, sole_driver: SoleDriver, notices: Notices
+    ) -> None:
+        self._fleet, self._strays = fleet, strays
+        self._gate, self._sole_driver, self._notices = gate, sole_driver, notices
+        self._ended: dict[str, float] = {}
+        self._standby_ended = -math.inf
+        self._ending: asyncio.Task[None] | None = None
+
+    async def respond(self, policy: FailurePolicySpec, now: float) -> bool:
+        """Delete leaking pods in the background, and close the gate if spec.onLeak is Close. Returns whether it was closed."""
+        if not self._sole_driver.leaks:
+            return False
+        due = self._due(now, time.monotonic())
+        if due and (self._ending is None or self._ending.done()):
+            self._ending = asyncio.create_task(self._end(due))
+        return policy.on_leak == "Close" and await self._close()
+
+    def _due(self, unix: float, now: float) -> list[Instance]:
+        """Return the pods to delete now. The instance for which the gate was closed is not to blame."""
+        found: list[Instance] = []
+        for leak in self._sole_driver.leaks:
+            instance = self._fleet.find(leak.uid) or self._strays.find(leak.uid)
+            if instance is None or leak.uid == self._sole_driver.rightful:
+                continue
+            if now - self._ended.get(leak.uid, -math.inf) < END_AGAIN:
+                continue
+            if not leak.is_former:
+                is_new = unix - leak.first < STANDBY_LASTS
+                if is_new or self._gate.state.closed or now - self._standby_ended < STANDBY_AGAIN:
+                    continue
+                self._standby_ended = now
+            self._ended[leak.uid] = now
+            found.append(instance)
+        return found
+
+    async def _end(self, due: Sequence[Instance]) -> None:
+        for instance in due:
+            with contextlib.suppress(*FAILURES):
+                # The watched state of the gate may be outdated.
+                if await self._gate.lets_through(instance):
+                    continue
+                await self._fleet.end(instance)
+                words = f"deleted {instance.name}, which reached the robot although the gate does not let it through"
+                _logger.warning(words)
+                self._notices.event("Warning", "LeakingPodDeleted", words)
+
+    async def _close(self) -> bool:
+        """Close the gate if an instance that was in control before reaches the robot beside the active one."""
+        state = self._gate.state
+        former = [leak.name for leak in self._sole_driver.leaks if leak.is_former and leak.uid != state.active_uid]
+        if state.closed or not former:
+            return False
+        # The recovery that opened the gate is over, but the pods that failed in it still count as failed.
+        left = ended(state.recovery) if state.recovery is not None else None
+        try:
+            async with asyncio.timeout(CLOSE_WITHIN):
+                await self._gate.commit(None, left)
+        except (Superseded, *FAILURES) as error:
+            _logger.warning("could not close the gate for %s: %r", state.active, error)
+            return False
+        self._sole_driver.close_for(state.active_uid)
+        words = f"the gate is closed for {state.active}, because {', '.join(former)} still reaches the robot; it opens again after that"
+        _logger.warning(words)
+        self._notices.event("Warning", "GateClosedForLeak", words)
+        return True

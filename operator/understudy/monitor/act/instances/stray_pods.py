@@ -1,0 +1,115 @@
+"""Finds pods of this workload without the label that the monitor watches, from what they send to the robot.
+
+Labels decide what the policies select and what is watched, so a pod without them is neither fenced nor known. Its address, its UID and its
+owner still identify it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+import time
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+
+from understudy.api import names
+from understudy.api.base import API_VERSION
+from understudy.api.protocol.monitor_settings import WorkloadSettings
+from understudy.failover.interfaces import Instance
+from understudy.kube.apply import controller_of
+from understudy.kube.client import FAILURES, PODS, Object
+from understudy.monitor.act.objects.pod_control import instance_of
+from understudy.monitor.observe.objects.cluster_view import ClusterView
+from understudy.ros.rmw import MIDDLEWARE
+
+_logger = logging.getLogger(__name__)
+
+AGAIN = 5.0
+"""Seconds between two lists of the namespace's pods, while a sender is unknown or a stray exists."""
+
+
+def strays(
+    pods: Sequence[Object], settings: WorkloadSettings, hosts: Collection[bytes], uids: Collection[str]
+) -> list[Instance]:
+    """Return the pods that are unknown senders and belong to this workload by their owner, whatever their labels say.
+
+    ``hosts`` identify unknown senders of outputs by their GIDs, and ``uids`` those of packets that passed the gate.
+    """
+    found: list[Instance] = []
+    for pod in pods:
+        instance = instance_of(pod)
+        if (instance.uid in uids or _host(instance.ip) in hosts) and (
+            owned := _owned(pod, instance, settings)
+        ) is not None:
+            found.append(owned)
+    return found
+
+
+def _owned(pod: Object, instance: Instance, settings: WorkloadSettings) -> Instance | None:
+    """Return the instance with the pool of its owner; None if the pod is not this workload's."""
+    labels, owner = pod["metadata"].get("labels") or {}, controller_of(pod)
+    if owner is None or labels.get(names.WORKLOAD) or labels.get(names.HELD) == "true":
+        return None
+    kind, name = owner.get("kind"), owner.get("name", "")
+    if (kind, owner.get("apiVersion")) == ("FallbackPool", API_VERSION):
+        if name not in {pool.name for pool in settings.pools}:
+            return None
+        is_claimed_by_other = instance.claim and not instance.claim.startswith(f"{settings.uid}/")
+        return None if is_claimed_by_other else replace(instance, pool=name)
+    if settings.source_kind == "Deployment" and kind == "ReplicaSet":
+        name = name.rpartition("-")[0]
+        kind = "Deployment"
+    return replace(instance, pool="") if (kind, name) == (settings.source_kind, settings.source_name) else None
+
+
+def _host(ip: str) -> bytes | None:
+    try:
+        return MIDDLEWARE.host_at(ip)
+    except ValueError:
+        return None
+
+
+class StrayPods:
+    """The strays of one workload."""
+
+    def __init__(self, view: ClusterView) -> None:
+        self._view = view
+        self._hosts: set[bytes] = set()
+        self._uids: set[str] = set()
+        self._next = -math.inf
+        self._listing: asyncio.Task[None] | None = None
+        self.instances: Sequence[Instance] = ()
+        """The strays, as of the last list."""
+
+    def look(self, hosts: Collection[bytes], uids: Collection[str]) -> None:
+        """Look for these unknown senders among the namespace's pods, in the background. Returns at once."""
+        self._hosts |= set(hosts)
+        self._uids |= set(uids)
+        now = time.monotonic()
+        if not (hosts or uids or self.instances) or now < self._next:
+            return
+        if self._listing is None or self._listing.done():
+            self._next = now + AGAIN
+            self._listing = asyncio.create_task(self._list())
+
+    async def _list(self) -> None:
+        if (settings := self._view.settings) is None:
+            return
+        try:
+            pods = (await self._view.client.list(PODS, self._view.namespace))["items"]
+        except FAILURES as error:
+            _logger.warning("could not list the pods that may have sent to the robot: %r", error)
+            return
+        found = strays(pods, settings, self._hosts, self._uids)
+        for instance in found:
+            if instance.uid not in {one.uid for one in self.instances}:
+                _logger.warning("%s reaches the robot without the label %s", instance.name, names.WORKLOAD)
+        self.instances = found
+        # Senders that are no stray are forgotten: they are given again as long as they send.
+        self._hosts = {host for one in found if (host := _host(one.ip)) is not None}
+        self._uids = {one.uid for one in found}
+
+    def find(self, uid: str) -> Instance | None:
+        """Return the stray with a UID; None if there is none."""
+        return next((one for one in self.instances if one.uid == uid), None)

@@ -1,0 +1,172 @@
+"""What a monitor does about an instance that reaches the robot although the gate does not let it through."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import pytest
+
+from tests.unit.monitor.cluster_objects import policy_of
+from tests.unit.monitor.monitors import GivenMonitor
+from understudy.api.kinds.pause_spec import Pause
+from understudy.failover.interfaces import GateState, Instance
+from understudy.failover.pinned import PinnedPod
+from understudy.kube.client import ApiError
+from understudy.monitor.judge import sole_driver
+from understudy.monitor.judge.sole_driver import QUIET
+from understudy.monitor.observe.robot.known_senders import KnownSender, OutputSender
+from understudy.trees.core.health_tree import Verdict
+
+FORMER = Instance("w-1", "uid-1", ip="10.0.0.1", running=True, ready=True)
+ACTIVE = Instance("w-2", "uid-2", ip="10.0.0.2", pool="hot", running=True, ready=True)
+STANDBY = Instance("w-3", "uid-3", ip="10.0.0.3", pool="hot", running=True, ready=True)
+HEALTHY = Verdict("Healthy", "", "", None)
+
+
+class Driven:
+    """A workload that w-2 drives after w-1, and whose monitor looks every 0.2 s."""
+
+    def __init__(
+        self, folder: Path, *pods: Instance, on_leak: Literal["Close", "Continue"] = "Close", pause: Pause | None = None
+    ) -> None:
+        self.monitor = GivenMonitor(folder)
+        self.objects, self.observer, self.notices = (
+            self.monitor.objects,
+            self.monitor.observer,
+            self.monitor.notices,
+        )
+        self.policy = policy_of({"type": "Fallback", "poolRef": {"name": "hot"}}, onLeak=on_leak)
+        self.objects.put_workload(pause=pause.to_wire() if pause is not None else None)
+        self.objects.put_policy(self.policy)
+        self.objects.put_settings(pools=[{"name": "hot", "readiness": "Executing"}])
+        self.objects.put_pods(*pods)
+        self.observer.health = HEALTHY
+        self.now = time.time() - 600
+        self.put_gate("w-1")
+
+    def put_gate(self, active: str) -> None:
+        uid = f"uid-{active[2:]}" if active else ""
+        epoch = self.objects.gate.state.epoch + 1
+        self.objects.put_gate(GateState(epoch=epoch, active=active, active_uid=uid))
+
+    async def look(self, seconds: float = 0.2) -> None:
+        self.now += seconds
+        self.monitor.loop.decide.limits.pauses.update(self.now)
+        await self.monitor.loop.evaluate(self.policy, self.now)
+        await asyncio.sleep(0)
+
+    async def hear(self, *instances: Instance, times: int = 10) -> None:
+        """Look ten times in two seconds, while instances are heard."""
+        for _ in range(times):
+            at = self.now + 0.2
+            self.observer.heard = [OutputSender("/cmd_vel", i.name, i.uid, (i.uid,), at) for i in instances]
+            await self.look()
+        for _ in range(20):  # what runs in the background
+            await asyncio.sleep(0)
+
+    @property
+    def commits(self) -> Sequence[str]:
+        return [name for name, _ in self.objects.commits]
+
+    @property
+    def graces(self) -> list[Any]:
+        deletions = [options for method, _, options in self.objects.client.requests if method == "DELETE"]
+        return [(options["uid"], options["grace_seconds"]) for options in deletions]
+
+
+async def switched(folder: Path, *pods: Instance, **more: Any) -> Driven:
+    found = Driven(folder, *pods, **more)
+    await found.look()
+    found.put_gate("w-2")
+    await found.look()
+    assert found.notices.status.health == "Healthy"
+    return found
+
+
+async def test_a_former_instance_that_goes_on_sending_is_deleted_and_the_gate_closes_until_it_is_silent(
+    tmp_path: Path,
+) -> None:
+    driven = await switched(tmp_path, FORMER, ACTIVE)
+    await driven.hear(FORMER, ACTIVE)
+    assert driven.graces == [("uid-1", 1)]
+    assert driven.commits == [""]
+    assert driven.notices.status.health == "Failed"
+    assert {"SeveralDrivers", "LeakingPodDeleted", "GateClosedForLeak"} <= set(driven.notices.reasons)
+    assert driven.notices.conditions["SoleDriver"][:2] == ("False", "FormerDriver")
+    await driven.hear(FORMER)
+    assert driven.commits == [""], "it may not open for another one beside it"
+    driven.observer.heard = []
+    await driven.look(QUIET + 1)
+    assert driven.commits == ["", "w-2"], "and opens for the instance that it was closed for, not for the older w-1"
+    assert driven.graces == [("uid-1", 1)], "w-2 did nothing wrong"
+
+
+async def test_a_pod_that_is_being_deleted_slowly_is_ended_at_once(tmp_path: Path) -> None:
+    leaving = Instance("w-1", "uid-1", ip="10.0.0.1", running=True, terminating=True)
+    driven = await switched(tmp_path, leaving, ACTIVE)
+    await driven.hear(leaving)
+    assert driven.graces == [("uid-1", 1)]
+
+
+async def test_the_policy_may_have_the_active_instance_continue_and_the_status_is_never_healthy(tmp_path: Path) -> None:
+    driven = await switched(tmp_path, FORMER, ACTIVE, on_leak="Continue")
+    await driven.hear(FORMER, ACTIVE)
+    assert (driven.commits, driven.graces) == ([], [("uid-1", 1)])
+    assert driven.notices.status.health == "Degraded"
+    assert driven.notices.conditions["Healthy"][:2] == ("False", "SeveralDrivers")
+    driven.observer.heard = []
+    await driven.look(QUIET + 1)
+    assert driven.notices.status.health == "Healthy"
+
+
+async def test_a_vanished_instance_closes_the_gate_too(tmp_path: Path) -> None:
+    driven = await switched(tmp_path, ACTIVE)
+    driven.observer.senders = [KnownSender("w-1", "uid-1", "10.0.0.1", driven.now, listed=False, pinned=True)]
+    await driven.hear(FORMER)
+    assert (driven.commits, driven.objects.deleted) == ([""], [])
+
+
+async def test_a_standby_that_was_never_in_control_is_deleted_and_the_active_instance_drives_on(tmp_path: Path) -> None:
+    driven = await switched(tmp_path, ACTIVE, STANDBY)
+    await driven.hear(STANDBY, ACTIVE, times=40)
+    assert (driven.commits, driven.graces) == ([], [("uid-3", 1)]), "once a minute, since a network may enforce nothing"
+    assert driven.notices.status.health == "Degraded"
+
+
+async def test_nothing_is_done_about_a_leak_during_a_pause(tmp_path: Path) -> None:
+    driven = await switched(tmp_path, FORMER, ACTIVE, pause=Pause(reason="a new gripper", owner="ann"))
+    await driven.hear(FORMER, ACTIVE)
+    assert (driven.commits, driven.graces) == ([], [])
+    assert driven.notices.conditions["SoleDriver"][0] == "False", "it is reported"
+
+
+async def test_a_gate_that_could_not_be_closed_is_closed_later(tmp_path: Path) -> None:
+    driven = await switched(tmp_path, FORMER, ACTIVE)
+    driven.objects.client.failing = lambda method, name: ApiError(403, "Forbidden", "not now")
+    await driven.hear(FORMER, ACTIVE)
+    assert driven.notices.status.health == "Degraded"
+    driven.objects.client.failing = lambda method, name: None
+    await driven.hear(FORMER, ACTIVE)
+    assert driven.objects.gate.state.closed
+
+
+async def test_a_new_monitor_listens_before_it_opens_a_closed_gate(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = await switched(tmp_path, FORMER, ACTIVE)
+    await first.objects.gate.commit(ACTIVE, None)
+    await first.objects.gate.commit(None, None)
+    pinned = first.objects.gate.state.pinned
+    assert PinnedPod(name="w-2", uid="uid-2", ip="10.0.0.2") in pinned
+    gate = first.objects.view.gates.items["w-gate"]
+    second = Driven(tmp_path, FORMER, ACTIVE)
+    second.objects.view.gates.put(second.objects.client.store(second.objects.view.gate_kind.resource, "fleet", gate))
+    await second.look()
+    assert second.commits == []
+    monkeypatch.setattr(sole_driver, "LISTEN", 0.0)
+    await second.look()
+    assert second.commits == ["w-1"]

@@ -1,0 +1,75 @@
+"""Who sends on the outputs, over real DDS: also on outputs that no tree watches, and from pods that are gone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from geometry_msgs.msg import Twist
+from std_msgs.msg import String
+
+from tests.unit.monitor.cluster_objects import ClusterObjects, parsed_spec
+from tests.unit.monitor.observed_robot import observing, own_address, policy_with, publisher, until
+from understudy.failover.interfaces import GateState, Instance
+from understudy.failover.pinned import PinnedPod
+from understudy.monitor.observe.robot.health_observer import HealthObserver
+
+pytestmark = pytest.mark.ros
+
+ARM = {"topic": "/arm", "type": "geometry_msgs/msg/Twist"}
+BEAT = {"topic": "/beat", "type": "std_msgs/msg/String"}
+
+
+@pytest.fixture
+def observer(monkeypatch: pytest.MonkeyPatch) -> Iterator[HealthObserver]:
+    """An observer whose health tree watches /beat, while /arm is an output too."""
+    for found in observing(monkeypatch):
+        tree = policy_with({"topic": {"name": "/beat", "gap": "1s"}})
+        found.follow(tree, parsed_spec(outputs=[BEAT, ARM, {"topic": "/odd", "type": "no_such_msgs/msg/Thing"}]))
+        yield found
+
+
+def test_a_sender_on_an_output_that_no_tree_watches_is_heard(observer: HealthObserver) -> None:
+    publisher(observer, "/beat", String)
+    arm, address = publisher(observer, "/arm", Twist), own_address(observer)
+    until(observer, observer.output_senders, each=lambda: arm.publish(Twist()))
+    (unknown,) = observer.output_senders()
+    assert (unknown.topic, unknown.name, unknown.uid) == ("/arm", "/understudy_monitor", ""), "a node, and no instance"
+    assert observer.gated == ["/beat"], "it is not expected"
+    observer.drain([Instance("w-2", "uid-2", ip=address)], "w-2")
+    (known,) = observer.output_senders()
+    assert (known.name, known.uid, known.may_be) == ("w-2", "uid-2", ("uid-2",))
+
+
+def test_a_vanished_instance_that_was_let_through_is_heard_by_a_new_monitor(observer: HealthObserver) -> None:
+    publisher(observer, "/beat", String)
+    arm, address = publisher(observer, "/arm", Twist), own_address(observer)
+    pinned = [PinnedPod(name="w-1", uid="uid-1", ip=address)]
+    until(observer, observer.output_senders, each=lambda: arm.publish(Twist()))
+    observer.drain([], "", pinned)
+    (sender,) = observer.output_senders()
+    assert (sender.name, sender.uid) == ("w-1", "uid-1")
+    assert observer.addresses == {"w-1": address}, "its samples do not count for the active instance"
+
+
+async def test_the_period_of_another_instance_is_that_of_its_samples(observer: HealthObserver) -> None:
+    beat = publisher(observer, "/beat", String)
+    former = Instance("w-1", "uid-1", ip=own_address(observer))
+    active = Instance("w-2", "uid-2", ip="10.255.255.1")
+    until(
+        observer,
+        lambda: len(observer.arrivals("/beat", "w-1")) > 5,
+        each=lambda: beat.publish(String()),
+        instances=[former],
+    )
+    objects = ClusterObjects()
+    objects.put_pods(former, active)
+    objects.put_gate(GateState(epoch=4, active="w-2", active_uid="uid-2"))
+    readers = observer.outputs(objects.pods, objects.gate)
+    arrivals = list(observer.arrivals("/beat", "w-1"))
+    mean = (arrivals[-1] - arrivals[0]) / (len(arrivals) - 1)
+    assert readers.period_of_others(active) == pytest.approx(mean)
+    assert readers.period_of_others(former) == 0.0
