@@ -1,4 +1,4 @@
-"""What a monitor's account may do to pods, asked of a real API server in its name."""
+"""What a monitor's account and others may do to pods, asked of a real API server in their names."""
 
 from __future__ import annotations
 
@@ -42,6 +42,41 @@ def monitor(cluster: Cluster, release: Release, namespace: str) -> str:
 
     until(effective, "the admission policy to be enforced")
     return user
+
+
+@pytest.fixture
+def person(cluster: Cluster, release: Release, namespace: str) -> str:
+    """The name of a user who may change all pods of the namespace."""
+    name = "person@example.com"
+    _may_change_pods(cluster, namespace, name)
+    probe = _pod(cluster, namespace, "probe", {})
+
+    def effective() -> bool:
+        try:
+            cluster.patch(probe, {"metadata": {"labels": {names.WORKLOAD: MINE}}}, user=name, dry_run=True)
+        except Refused as error:
+            return "may not change" in error.message
+        return False
+
+    until(effective, "the admission policy of labels to be enforced")
+    return name
+
+
+def _may_change_pods(cluster: Cluster, namespace: str, user: str) -> None:
+    group, name = "rbac.authorization.k8s.io", f"pods-{user.split(':')[-1].split('@')[0]}"
+    rules = [{"apiGroups": [""], "resources": ["pods", "pods/status"], "verbs": ["*"]}]
+    role: Object = {"apiVersion": f"{group}/v1", "kind": "Role", "metadata": {"name": name}}
+    subject = {"kind": "User", "name": user, "apiGroup": group}
+    cluster.create({**role, "rules": rules}, namespace)
+    cluster.create(
+        {
+            **role,
+            "kind": "RoleBinding",
+            "roleRef": {"apiGroup": group, "kind": "Role", "name": name},
+            "subjects": [subject],
+        },
+        namespace,
+    )
 
 
 @pytest.fixture
@@ -259,16 +294,67 @@ def test_a_monitor_has_no_rights_in_another_namespace(cluster: Cluster, release:
     assert "cannot delete resource" in _refusal(lambda: cluster.delete(pod, user=monitor))
 
 
-def test_everybody_else_is_left_alone(cluster: Cluster, namespace: str, monitor: str) -> None:
+def test_everybody_else_deletes_and_annotates_pods(cluster: Cluster, namespace: str, person: str) -> None:
     pod = _instance(cluster, namespace, OTHER)
-    changed = cluster.patch(pod, {"metadata": {"labels": {names.WORKLOAD: None}}})
-    assert names.WORKLOAD not in changed["metadata"]["labels"]
-    cluster.delete(changed)
+    body = {"metadata": {"labels": {"team": "blue"}, "annotations": {"note": "seen"}}}
+    changed = cluster.patch(pod, body, user=person)
+    assert changed["metadata"]["labels"]["team"] == "blue"
+    cluster.delete(changed, user=person)
 
 
-def test_the_policy_has_no_type_errors(cluster: Cluster, release: Release) -> None:
+@pytest.mark.parametrize(
+    "labels",
+    [{names.WORKLOAD: None}, {names.POOL: None}, {names.INSTANCE: "active"}, {names.HELD: "true"}],
+    ids=["workload-removed", "pool-removed", "instance-changed", "held-added"],
+)
+@pytest.mark.parametrize("subresource", ["", "status"])
+def test_nobody_else_changes_the_labels_of_an_instance(
+    cluster: Cluster, namespace: str, person: str, labels: dict[str, str | None], subresource: str
+) -> None:
+    pod = _pod(
+        cluster,
+        namespace,
+        "instance",
+        {names.WORKLOAD: MINE, names.INSTANCE: "instance", names.POOL: "hot", "app": "nav"},
+    )
+    (key,) = labels
+    body = {"metadata": {"labels": labels}}
+    message = _refusal(lambda: cluster.patch(pod, body, user=person, subresource=subresource))
+    assert f"{person} may not change {key} of pod {namespace}/instance" in message
+    live = cluster.get("v1", "Pod", "instance", namespace)
+    assert live["metadata"]["labels"] == pod["metadata"]["labels"]
+
+
+def test_nobody_else_makes_an_instance_of_a_pod(cluster: Cluster, namespace: str, person: str) -> None:
+    pod = _pod(cluster, namespace, "camera", {"app": "camera"})
+    assert f"may not change {names.WORKLOAD} of pod" in _refusal(
+        lambda: cluster.patch(pod, {"metadata": {"labels": {names.WORKLOAD: MINE}}}, user=person)
+    )
+
+
+def test_a_monitor_of_another_namespace_is_anybody_else(
+    cluster: Cluster, namespace: str, release: Release, person: str
+) -> None:
+    pod = _instance(cluster, namespace, MINE)
+    stranger = account("elsewhere", names.monitor_account(MINE))
+    _may_change_pods(cluster, namespace, stranger)
+    message = _refusal(lambda: cluster.patch(pod, {"metadata": {"labels": {names.WORKLOAD: None}}}, user=stranger))
+    assert "of its own namespace only" in message or f"may not change {names.WORKLOAD}" in message
+
+
+def test_the_operator_changes_the_labels_of_instances(cluster: Cluster, namespace: str, release: Release) -> None:
+    pod = _instance(cluster, namespace, OTHER)
+    operator = account(release.namespace, release.operator)
+    changed = cluster.patch(pod, {"metadata": {"labels": {names.WORKLOAD: MINE}}}, user=operator)
+    assert changed["metadata"]["labels"][names.WORKLOAD] == MINE
+
+
+@pytest.mark.parametrize("policy", ["monitors", "labels"])
+def test_the_policies_have_no_type_errors(cluster: Cluster, release: Release, policy: str) -> None:
+    name = f"{release.name}-{policy}"
+
     def status() -> Object:
-        policy = cluster.get("admissionregistration.k8s.io/v1", "ValidatingAdmissionPolicy", f"{release.name}-monitors")
+        policy = cluster.get("admissionregistration.k8s.io/v1", "ValidatingAdmissionPolicy", name)
         found: Object = policy.get("status") or {}
         return found if found.get("observedGeneration") == policy["metadata"]["generation"] else {}
 

@@ -39,6 +39,14 @@ class Cluster:
         self._api = config.new_client_from_config(str(kubeconfig))
         self._resource = cache(self._discovered)
 
+    @property
+    def user(self) -> str:
+        """The name of the user that the API server knows by these credentials."""
+        review = {"apiVersion": "authentication.k8s.io/v1", "kind": "SelfSubjectReview"}
+        answer = self.request("POST", "/apis/authentication.k8s.io/v1/selfsubjectreviews", body=review)
+        found: str = answer["status"]["userInfo"]["username"]
+        return found
+
     def request(
         self,
         method: str,

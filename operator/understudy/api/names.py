@@ -146,6 +146,9 @@ GATE_KIND_VARIABLE = "UNDERSTUDY_GATE_KIND"
 MONITOR_IMAGE_VARIABLE = "UNDERSTUDY_MONITOR_IMAGE"
 """Environment variable with an image: for the operator, the image of new monitors; for a monitor, its own image."""
 
+WORKLOAD_VARIABLE = "UNDERSTUDY_WORKLOAD"
+"""Environment variable of Understudy's own processes with the workload that they serve; empty in unclaimed pods of shared pools."""
+
 FENCED_VARIABLE = "UNDERSTUDY_FENCED_CONTAINERS"
 UNFENCED_VARIABLE = "UNDERSTUDY_UNFENCED_CONTAINERS"
 """Environment variables with the containers that the agent can hold while the pod is cut off, and those that it cannot hold."""

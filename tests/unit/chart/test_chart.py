@@ -53,10 +53,16 @@ def test_helm_test_uses_an_account_that_the_admission_policy_recognizes(render: 
 
 
 def test_the_admission_policy_uses_the_names_of_the_code(render: Render) -> None:
-    text = yaml.safe_dump(one(render(), "ValidatingAdmissionPolicy"), width=10_000)
+    text = yaml.safe_dump(one(render(), "ValidatingAdmissionPolicy", "understudy-monitors"), width=10_000)
     assert f"endsWith('{names.MONITOR_ACCOUNT_ENDING}')" in text.replace("''", "'")
     for label in (names.WORKLOAD, names.INSTANCE, names.HELD):
         assert f"labels[?'{label}']" in text.replace("''", "'")
+
+
+def test_the_policy_of_labels_uses_the_names_of_the_code(render: Render) -> None:
+    text = yaml.safe_dump(one(render(), "ValidatingAdmissionPolicy", "understudy-labels"), width=10_000)
+    assert f"startsWith('{names.GROUP}/')" in text.replace("''", "'")
+    assert f"endsWith('{names.MONITOR_ACCOUNT_ENDING}')" in text.replace("''", "'")
 
 
 def test_an_old_kubernetes_is_refused(helm: str) -> None:

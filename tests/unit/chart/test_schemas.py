@@ -26,6 +26,7 @@ EXAMPLES = sorted((REPOSITORY / "examples").rglob("*.yaml"))
 
 ALL_VALUES = (
     "admission.enabled=false",
+    "admission.labelWriters[0]=developer",
     "crds.keep=false",
     "images.monitorPullSecrets[0].name=registry",
     "images.pullSecrets[0].name=registry",

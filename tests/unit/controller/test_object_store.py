@@ -282,3 +282,41 @@ def test_a_list_by_label_does_not_remove_objects_without_the_label() -> None:
     store.put(NETWORK_POLICIES, at(pod("unlabelled"), 5))
     store.replace(NETWORK_POLICIES, [], 10, None, covered=lambda item: False)
     assert store.get(NETWORK_POLICIES, "fleet", "unlabelled") is not None
+
+
+class TestReleasedPods:
+    """A ReplicaSet releases a pod whose labels somebody removed. It still runs, so it is still known."""
+
+    @staticmethod
+    def stripped(**metadata: Any) -> Any:
+        found = source_pod("w-a")
+        found["metadata"] |= {"labels": {}, "ownerReferences": [], **metadata}
+        agent = {"name": names.AGENT_CONTAINER, "env": [{"name": names.WORKLOAD_VARIABLE, "value": "w"}]}
+        found["spec"] = {"nodeName": "node-1", "containers": [{"name": "app"}, agent]}
+        return at(found, 9)
+
+    def test_a_pod_without_labels_and_owner_is_kept_as_that_of_its_workload(self) -> None:
+        store, released = Store(), self.stripped()
+        assert kept(PODS, released)
+        store.put(PODS, at(source_pod("w-a"), 5))
+        change = store.put(PODS, released)
+        assert [kube_objects.name(item) for item in store.released("fleet", "w")] == ["w-a"]
+        assert change is not None
+        assert change_index.of(change, store).keys == {Key("robotworkloads", "fleet", "w")}
+        store.put(PODS, at(source_pod("w-a"), 10))
+        assert not store.released("fleet", "w")
+
+    def test_it_affects_its_workload_also_if_it_was_never_seen_with_labels(self) -> None:
+        store = Store()
+        change = store.put(PODS, self.stripped())
+        assert change is not None
+        assert change_index.of(change, store).keys == {Key("robotworkloads", "fleet", "w")}
+
+    def test_a_pod_of_somebody_else_is_not_kept(self) -> None:
+        assert not kept(PODS, at(pod("w-a"), 9))
+
+    def test_a_standby_without_labels_affects_the_workload_that_owns_it(self) -> None:
+        standby = standby_pod("w-s", of=workload())
+        standby["metadata"]["labels"] = {}
+        found = change_index.of(ObservedChange(PODS, None, standby), Store())
+        assert found.keys == {Key("robotworkloads", "fleet", "w")}

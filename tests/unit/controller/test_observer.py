@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, cast
 
-from tests.unit.controller.world import hot, standby_pod, workload
+from tests.unit.controller.world import hot, pod, standby_pod, workload
 from understudy.api import names
 from understudy.controller.observed import kube_objects
 from understudy.controller.reconcile.change_index import Key
@@ -41,3 +41,13 @@ async def test_a_standby_without_its_label_is_still_observed_by_its_owner() -> N
     store.put(PODS, standby)
     observed = await Observer(cast(Client, None), store, Expectations()).workload(item)
     assert [kube_objects.name(pod) for pod in observed.pods] == ["w-1"]
+
+
+async def test_a_pod_that_its_controller_released_is_observed_once() -> None:
+    store, item = Store(), workload("w")
+    store.put(WORKLOADS, item)
+    agent = {"name": names.AGENT_CONTAINER, "env": [{"name": names.WORKLOAD_VARIABLE, "value": "w"}]}
+    for name, labels in (("w-a", {}), ("w-b", {names.WORKLOAD: "w"})):
+        store.put(PODS, pod(name, labels=labels) | {"spec": {"containers": [agent]}})
+    observed = await Observer(cast(Client, None), store, Expectations()).workload(item)
+    assert sorted(kube_objects.name(one) for one in observed.pods) == ["w-a", "w-b"]

@@ -361,3 +361,22 @@ class TestLabels:
         for plan in (world.plan(), workload_objects.abandoned("w", [standby])):
             labels = patched(plan, "pods").get("w-s", {}).get("metadata", {}).get("labels", {})
             assert None not in labels.values()
+
+    def test_a_pod_that_its_replica_set_released_gets_the_labels_by_which_it_is_adopted_again(self) -> None:
+        world = World(workload(), policy("Restart"))
+        released = source_pod("w-a")
+        released["metadata"] |= {"labels": {}, "ownerReferences": []}
+        released["spec"] = world.understood().builts[""]["spec"]
+        world.pods = [released]
+        labels = patched(world.plan(), "pods")["w-a"]["metadata"]["labels"]
+        selector = applied(world.plan(), "replicasets")["w"]["spec"]["selector"]["matchLabels"]
+        assert selector.items() <= labels.items()
+        assert labels[names.INSTANCE] == "w-a"
+
+    def test_a_standby_whose_owner_somebody_removed_gets_it_back(self) -> None:
+        world = World(workload(), policy("hot"), hot())
+        standby = standby_pod("w-s", of=world.workload, template_hash=world.template_hash)
+        owners = standby["metadata"].pop("ownerReferences")
+        standby["spec"] = world.understood().builts["hot"]["spec"]
+        world.pods = [source_pod("w-a"), standby]
+        assert patched(world.plan(), "pods")["w-s"] == {"metadata": {"ownerReferences": owners}}

@@ -71,6 +71,11 @@ class TestReference:
             "metadata": {"labels": {names.WORKLOAD: None, names.INSTANCE: None}}
         }
 
+    def test_a_pod_that_its_controller_released_stays_gated(self) -> None:
+        released = pod("nav2-1-x", labels={names.WORKLOAD: "w", names.INSTANCE: "nav2-1-x"})
+        plan = self.world(ReferencedObjects(self.deployment(), [self.user_pod("nav2-1-y")]), released).plan()
+        assert "nav2-1-x" not in patched(plan, "pods")
+
     def test_pods_of_a_deleted_workload_lose_the_labels_except_created_ones(self) -> None:
         labelled = self.user_pod("nav2-1-x", labels={names.WORKLOAD: "w", names.INSTANCE: "nav2-1-x"})
         ours = [source_pod("w-a"), standby_pod("w-s", of=workload())]

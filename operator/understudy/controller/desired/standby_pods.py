@@ -164,22 +164,32 @@ def _template_of(replica_set: Object) -> str:
 
 
 def relabelled(observed: Observed, workload_plan: WorkloadPlan) -> Iterator[Patch]:
-    """Yield patches that restore the labels of the workload's pods that somebody changed or removed.
+    """Yield patches that restore the labels and the owner of the workload's pods that somebody changed or removed.
 
-    The policies of the gate select by these labels. A pod without them would be fenced by no policy.
+    The policies of the gate select by these labels. A pod without them would be fenced by no policy. A pod without an
+    owner would outlive the workload and its policies.
     """
     workload = observed.workload
     for pod in observed.pods:
-        if not ownership.controls(kube_objects.uid(workload), pod) or kube_objects.deleted(pod):
+        released = ownership.released(pod) == kube_objects.name(workload)
+        if kube_objects.deleted(pod) or not (released or ownership.controls(kube_objects.uid(workload), pod)):
             continue
         wanted = {
             names.COMPONENT: "instance",
             names.WORKLOAD: kube_objects.name(workload),
             names.INSTANCE: kube_objects.name(pod),
         }
-        if names.POOL not in kube_objects.labels(pod) and (pool := _pool_of(pod, observed, workload_plan)) is not None:
+        if released and observed.reference is None and names.POOL not in kube_objects.labels(pod):
+            # The ReplicaSet then adopts the pod again, and deletes the newer pod if it has two.
+            wanted[names.SOURCE] = "workload"
+        elif (
+            names.POOL not in kube_objects.labels(pod) and (pool := _pool_of(pod, observed, workload_plan)) is not None
+        ):
             wanted[names.POOL] = pool
         yield from workload_reference.label(pod, wanted)
+        if released and names.POOL in kube_objects.labels(pod):
+            owner = kube_objects.owner("RobotWorkload", workload)
+            yield Patch(PODS, pod, {"metadata": {"ownerReferences": [owner]}})
 
 
 def _pool_of(pod: Object, observed: Observed, workload_plan: WorkloadPlan) -> str | None:

@@ -39,7 +39,7 @@ class Observed:
     owned: Mapping[tuple[str, str], Object] = field(default_factory=dict)
     """Objects that the workload controls, except pods, by plural and name."""
     pods: Sequence[Object] = ()
-    """Pods with the workload's label."""
+    """The workload's pods: by its label, by their owner, or by their spec if their controller has released them."""
     monitors: Sequence[Object] = ()
     """The monitor's pods."""
     discovery: Sequence[Object] = ()

@@ -11,6 +11,7 @@ from understudy.api.kinds.robot_workload import WorkloadReference
 from understudy.controller.observed import kube_objects, ownership
 from understudy.controller.plan import Patch, Problem
 from understudy.kube import selectors
+from understudy.kube.apply import controller_of
 from understudy.kube.client import PODS, Object
 
 
@@ -84,7 +85,10 @@ def labelling(workload: str, pods: Sequence[Object], referred: ReferencedObjects
     for pod in referred.pods:
         if not kube_objects.deleted(pod):
             yield from label(pod, {names.WORKLOAD: workload, names.INSTANCE: kube_objects.name(pod)})
-    yield from unlabelling(workload, pods, keep={kube_objects.uid(pod) for pod in referred.pods})
+    keep = {kube_objects.uid(pod) for pod in referred.pods}
+    # A controller releases a pod if somebody changes a label of its selector. The pod still runs, so it stays gated.
+    keep |= {kube_objects.uid(pod) for pod in pods if controller_of(pod) is None}
+    yield from unlabelling(workload, pods, keep=keep)
 
 
 def label(pod: Object, wanted: Mapping[str, Any]) -> Iterator[Patch]:

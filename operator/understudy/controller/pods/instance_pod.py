@@ -343,7 +343,7 @@ def _agent(recipe: Recipe, held: Sequence[str], fenced: Sequence[str], unfenced:
     fences = {names.FENCED_VARIABLE: " ".join(fenced), names.UNFENCED_VARIABLE: " ".join(unfenced)}
     fixed = {
         **{key: value for key, value in fences.items() if value},
-        "UNDERSTUDY_WORKLOAD": recipe.workload,
+        names.WORKLOAD_VARIABLE: recipe.workload,
         "UNDERSTUDY_NAMESPACE": recipe.namespace,
         "UNDERSTUDY_HELD_CONTAINERS": " ".join(held),
         "HOME": names.AGENT_DIR,

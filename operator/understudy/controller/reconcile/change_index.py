@@ -15,6 +15,7 @@ from understudy.controller.observed import (
     health_tree_sources,
     kube_objects,
     leaving_nodes,
+    ownership,
     policy_reader,
     replacement_standbys,
 )
@@ -202,6 +203,11 @@ def _after_pod(change: ObservedChange, store: Store, namespace: str, plenty: Col
         for label, plural in ((names.WORKLOAD, WORKLOADS), (names.MONITORED, WORKLOADS), (names.POOL, POOLS)):
             if label in labels:
                 yield Key(plural.plural, namespace, labels[label])
+        # Somebody may have removed the labels.
+        if ownership.is_understudys(item) and (owner := controller_of(item)) is not None:
+            yield Key(_PLURALS[owner["kind"]], namespace, owner["name"])
+        elif workload := ownership.released(item):
+            yield Key(WORKLOADS.plural, namespace, workload)
         if labels.get(names.SOURCE) == "workload":
             yield from _stood_in_for(labels.get(names.WORKLOAD, ""), store, namespace)
         if names.HELD in labels and labels.get(names.POOL, "") not in plenty:

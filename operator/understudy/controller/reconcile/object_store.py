@@ -14,9 +14,10 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from understudy.api import names
+from understudy.controller.observed import ownership
 from understudy.controller.reconcile.interning import Interner
 from understudy.kube.apply import controller_of
-from understudy.kube.client import Object, Resource
+from understudy.kube.client import PODS, Object, Resource
 from understudy.kube.gates import registry
 
 REMEMBERED_SECONDS = 300.0
@@ -82,6 +83,10 @@ class Store:
     def labelled(self, resource: Resource, namespace: str, label: str, value: str) -> list[Object]:
         """Return the objects with one of the indexed labels (workload, pool, monitored)."""
         return list(self._index.get(("label", resource.plural, namespace, label, value), {}).values())
+
+    def released(self, namespace: str, workload: str) -> list[Object]:
+        """Return the instances of a workload that no controller owns, whatever their labels are."""
+        return list(self._index.get(("released", namespace, workload), {}).values())
 
     def put(self, resource: Resource, item: Object) -> ObservedChange | None:
         """Store an observation of an object, and return the change; None if it contains nothing new."""
@@ -169,6 +174,8 @@ def _keys(resource: Resource, item: Object) -> list[Index]:
     owner = controller_of(item)
     if owner is not None:
         found.append(("owner", owner["uid"]))
+    elif resource.plural == PODS.plural and (workload := ownership.released(item)):
+        found.append(("released", namespace, workload))
     labels = metadata.get("labels") or {}
     found += [
         ("label", resource.plural, namespace, label, labels[label])
@@ -201,6 +208,8 @@ def slim(resource: Resource, item: Object) -> Object:
         kept.pop("stringData", None)
     if resource.plural == "pods":
         kept["spec"] = {"nodeName": (item.get("spec") or {}).get("nodeName")}
+        if workload := ownership.released(item):
+            kept["spec"] |= ownership.released_spec(workload)
         kept["status"] = _slim_status(item.get("status") or {})
     if resource.plural == "nodes":
         kept["metadata"] = {key: metadata[key] for key in ("name", "uid", "resourceVersion") if key in metadata}

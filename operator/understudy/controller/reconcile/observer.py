@@ -103,11 +103,14 @@ class Observer:
         )
 
     def _pods(self, namespace: str, workload: str, uid: str) -> list[Object]:
-        """Return the pods of a workload: those with its label, and those that it controls, whose label may be removed."""
+        """Return the pods of a workload: those with its label, and those whose label somebody has removed.
+
+        The latter are known by their owner, or by their spec if their controller has released them.
+        """
         labelled = self._store.labelled(PODS, namespace, names.WORKLOAD, workload)
         owned = [item for (plural, _), item in self._store.owned(uid).items() if plural == PODS.plural]
-        known = {kube_objects.uid(pod) for pod in labelled}
-        return [*labelled, *(pod for pod in owned if kube_objects.uid(pod) not in known)]
+        found = {kube_objects.uid(pod): pod for pod in (*labelled, *owned, *self._store.released(namespace, workload))}
+        return list(found.values())
 
     def _going(self, namespace: str, role: Object | None) -> Iterator[str]:
         """Yield the deleted pools with claimable pods, of those whose agents the monitor may command by its Role."""

@@ -104,8 +104,10 @@ def listed(resource: Resource, item: Object) -> bool:
 
 
 def kept(resource: Resource, item: Object) -> bool:
-    """Whether an object from a watch is kept. This includes an object of Understudy whose label was removed."""
-    return listed(resource, item) or ownership.is_understudys(item)
+    """Whether an object from a watch is kept. This includes an object of Understudy whose labels were removed."""
+    if listed(resource, item) or ownership.is_understudys(item):
+        return True
+    return resource.plural == PODS.plural and bool(ownership.released(item))
 
 
 class ListCycle:
