@@ -153,7 +153,7 @@ def _drive(kubeconfig: Path, experiment: Experiment, configuration: str, options
     try:
         robot = experiment.robot(kubectl)
         robot.set_up(configuration)
-        robot.wait_ready()
+        robot.wait_protected()
         robot.send_client(500)  # more goals than the robot will reach
         robot.wait_driving(WITHIN)
         nodes = [node["metadata"]["name"] for node in kubectl.list("nodes")]
@@ -161,7 +161,7 @@ def _drive(kubeconfig: Path, experiment: Experiment, configuration: str, options
             nodes, lambda node: kubectl("get", "--raw", f"/api/v1/nodes/{node}/proxy/metrics/resource")
         ) as found:
             for number in range(1, options.failures + 1):
-                active = robot.wait_ready()
+                active = robot.wait_protected()
                 _wait_under_way(experiment, robot)
                 recovery = _fail(robot, active, options.how, number)
                 if recovery.strategy != experiment.configurations[configuration]:

@@ -12,7 +12,6 @@ import pytest
 from testcluster.local import cgroups, processes
 
 pytestmark = [
-    pytest.mark.alone,  # freezes processes and counts what they write meanwhile
     pytest.mark.local_only,
     pytest.mark.skipif(os.geteuid() != 0, reason="needs root"),
 ]

@@ -18,7 +18,7 @@ import pytest
 from tests.cluster.policy_pods import REPOSITORY, World, flows, table
 from tests.support.cluster import Cluster, Object
 
-pytestmark = pytest.mark.alone  # packets are counted in milliseconds
+pytestmark = pytest.mark.xdist_group("network policies")  # one process starts the pods of the table
 
 TABLE = table()
 GATED = 7950
@@ -177,6 +177,7 @@ def _crowds_policies(world: World, size: int) -> list[Object]:
     return policies
 
 
+@pytest.mark.alone  # packets are counted in milliseconds
 @pytest.mark.local_only
 @pytest.mark.parametrize("other", ["standby", "distant"], ids=["on one node", "on two nodes"])
 def test_a_gate_is_switched(world: World, crowd: int, other: str, capsys: pytest.CaptureFixture[str]) -> None:

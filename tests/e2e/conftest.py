@@ -7,14 +7,18 @@ import os
 import tempfile
 import time
 import uuid
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
+from typing import TypeVar
 
 import pytest
 
 from tests.e2e.faults import ApiServer, Stage, cluster
 from tests.e2e.kubectl import Failed, Kubectl, helm
+from tests.e2e.navigation import Navigator
 from tests.e2e.scenario import Late, Robot, eventually, manifest
+
+R = TypeVar("R", bound=Robot)
 
 SYSTEM = "understudy-system"
 CHART = Path(__file__).parents[2] / "charts" / "understudy"
@@ -172,11 +176,29 @@ def managed(request: pytest.FixtureRequest) -> Robot:
 
 
 def _robot(request: pytest.FixtureRequest, strategy: str, workload: str = "robotworkload.yaml") -> Robot:
-    """The test's own robot, or the one that tests share, as long as that one is well. Only one that is shared runs at a time."""
+    """The test's own robot, or the one that tests share."""
     if not _shared(request.node):
         return _started(request.getfixturevalue("kubectl"), strategy, workload)
-    robots: dict[str, Robot] = request.getfixturevalue("shared")
-    robot = robots.pop(strategy, None)
+    return _lent(request, strategy, lambda kubectl: _started(kubectl, strategy, workload))
+
+
+@pytest.fixture
+def navigator(request: pytest.FixtureRequest) -> Navigator:
+    """A mobile robot with an executing standby of its navigation stack, which tests share."""
+
+    def started(kubectl: Kubectl) -> Navigator:
+        robot = Navigator(kubectl)
+        robot.set_up("executing")
+        robot.wait_protected(within=240)
+        return robot
+
+    return _lent(request, "navigator", started)
+
+
+def _lent(request: pytest.FixtureRequest, name: str, start: Callable[[Kubectl], R]) -> R:
+    """The robot that tests share, as long as that one is well. Only one that is shared runs at a time."""
+    robots: dict[str, R] = request.getfixturevalue("shared")
+    robot = robots.pop(name, None)
     while robots:
         _leave(robots.popitem()[1].kubectl)
     if robot is not None:
@@ -186,18 +208,18 @@ def _robot(request: pytest.FixtureRequest, strategy: str, workload: str = "robot
             _leave(robot.kubectl)
             robot = None
     if robot is None:
-        release, namespaces = request.getfixturevalue("release"), request.getfixturevalue("namespaces")
-        robot = _started(_namespace(release, namespaces), strategy, workload)
-    robot.begin()
+        robot = start(_namespace(request.getfixturevalue("release"), request.getfixturevalue("namespaces")))
+    lent = robot
+    lent.begin()
 
     def end() -> None:
         if request.node.stash[FAILED]:
-            _leave(robot.kubectl)
+            _leave(lent.kubectl)
         else:
-            robots[strategy] = robot
+            robots[name] = lent
 
     request.addfinalizer(end)
-    return robot
+    return lent
 
 
 def _started(kubectl: Kubectl, strategy: str, workload: str) -> Robot:

@@ -154,8 +154,16 @@ class Navigator(Robot):
             edit(found)
         self.kubectl.apply(found)
 
-    def wait_ready(self, within: float = 240.0) -> str:
-        """Wait until the stack is healthy and its first strategy's resources are available. Returns the active pod."""
+    def begin(self) -> None:
+        """Forget what happened so far, and the client of an earlier test."""
+        self.kubectl("delete", "job", f"{self.name}-client", "--ignore-not-found")
+        super().begin()
+
+    def wait_protected(self, within: float = 240.0) -> str:
+        """Wait until the stack is healthy, which without a goal commands nothing, and its first strategy's resources are available.
+
+        Returns the active pod.
+        """
 
         def ready() -> str | None:
             status = self.status()

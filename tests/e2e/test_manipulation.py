@@ -61,11 +61,11 @@ def test_the_motion_is_completed_without_a_jump_though_the_planner_is_lost_twice
     manipulator: Manipulator, configuration: str
 ) -> None:
     manipulator.set_up(configuration)
-    manipulator.wait_ready()
+    manipulator.wait_protected()
     manipulator.send_client(3)
     last = 0
     for number, how in enumerate(("deleted-by-force", "frozen"), 1):
-        active = manipulator.wait_ready()
+        active = manipulator.wait_protected()
         last = manipulator.wait_driving(120, beyond=last).number
         if how == "frozen":
             manipulator.send_signal(active, "STOP")

@@ -28,7 +28,8 @@ DONE = 420.0
 
 
 @pytest.fixture
-def navigator(kubectl: Kubectl) -> Navigator:
+def own_navigator(kubectl: Kubectl) -> Navigator:
+    """A robot of the test's own, which the test still has to set up."""
     return Navigator(kubectl)
 
 
@@ -54,13 +55,19 @@ def assert_clean(navigator: Navigator, number: int) -> None:
     "configuration",
     [pytest.param(name, marks=() if name in OFTEN else pytest.mark.long) for name in CONFIGURATIONS],
 )
-def test_all_goals_are_reached_though_the_stack_is_lost_twice(navigator: Navigator, configuration: str) -> None:
-    navigator.set_up(configuration)
-    navigator.wait_ready()
+def test_all_goals_are_reached_though_the_stack_is_lost_twice(
+    request: pytest.FixtureRequest, configuration: str
+) -> None:
+    if configuration == "executing":
+        navigator: Navigator = request.getfixturevalue("navigator")
+    else:
+        navigator = request.getfixturevalue("own_navigator")
+        navigator.set_up(configuration)
+        navigator.wait_protected()
     navigator.send_client(3)
     last = 0
     for number, how in enumerate(("deleted-by-force", "frozen"), 1):
-        active = navigator.wait_ready()
+        active = navigator.wait_protected()
         last = navigator.wait_driving(120, beyond=last).number
         if how == "frozen":
             navigator.send_signal(active, "STOP")
@@ -94,8 +101,7 @@ def test_all_goals_are_reached_though_the_stack_is_lost_twice(navigator: Navigat
 def test_one_node_that_fails_is_noticed_and_the_goal_is_reached(
     navigator: Navigator, number: str, node: str, missed: str
 ) -> None:
-    navigator.set_up("executing")
-    active = navigator.wait_ready()
+    active = navigator.wait_protected()
     navigator.send_client(1)
     navigator.wait_driving(120)
     navigator.send_signal(active, number, node)
@@ -109,12 +115,14 @@ def test_one_node_that_fails_is_noticed_and_the_goal_is_reached(
 
 @pytest.mark.local_only
 @pytest.mark.long
-def test_all_goals_are_reached_though_the_stacks_node_is_lost(navigator: Navigator, stage: Stage) -> None:
+def test_all_goals_are_reached_though_the_stacks_node_is_lost(own_navigator: Navigator, stage: Stage) -> None:
+    navigator = own_navigator
+
     def place(objects: list[Object]) -> None:
         stage.place(staying(objects))
 
     navigator.set_up("executing", edit=place)
-    active = navigator.wait_ready()
+    active = navigator.wait_protected()
     node = stage.node_of(active)
     navigator.send_client(2)
     navigator.wait_driving(120)
@@ -129,8 +137,9 @@ def test_all_goals_are_reached_though_the_stacks_node_is_lost(navigator: Navigat
 
 
 @pytest.mark.long
-def test_a_stack_without_a_goal_may_be_silent_and_its_loss_is_detected(navigator: Navigator) -> None:
+def test_a_stack_without_a_goal_may_be_silent_and_its_loss_is_detected(own_navigator: Navigator) -> None:
     """Standing still without a goal there is no /cmd_vel, which is no failure; without a heartbeat it is one."""
+    navigator = own_navigator
 
     def only_restart_would_take_long(objects: list[Object]) -> None:
         policy = next(o for o in objects if o["kind"] == "FailurePolicy")
@@ -144,7 +153,7 @@ def test_a_stack_without_a_goal_may_be_silent_and_its_loss_is_detected(navigator
         assert (status["active"], status["health"]) == (pod, "Healthy")
 
     navigator.set_up("executing", edit=only_restart_would_take_long)
-    active = navigator.wait_ready()
+    active = navigator.wait_protected()
     assert_left_alone(active, 0)
     never(navigator.log().of(active), "it drove, and nobody asked it to")
     navigator.send_signal(active, "STOP")
