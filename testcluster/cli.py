@@ -5,6 +5,7 @@ import os
 import sys
 from collections.abc import Callable
 
+from testcluster.modes import NetworkModes
 from testcluster.progress import Progress
 from testcluster.providers.base import ClusterError, Provider
 from testcluster.providers.current import CurrentProvider
@@ -91,9 +92,43 @@ def parser() -> argparse.ArgumentParser:
     )
     node.add_argument("action", choices=list(_FAULTS))
     node.add_argument("node")
+    _add_network(commands.add_parser("network", parents=[common], help="give a node's network modes: see --help"))
     api = commands.add_parser("api", parents=[common], help="stop: end only the API server; start: start it again")
     api.add_argument("action", choices=list(_API))
     return top
+
+
+def _add_network(network: argparse.ArgumentParser) -> None:
+    network.description = (
+        "Give a node's network these modes and no others, while it runs. Without options it works as it should again, and so it does "
+        "after `up` and `node up`."
+    )
+    network.add_argument("node")
+    network.add_argument(
+        "--established",
+        action="store_true",
+        help="flows live on of which a packet was let through before, until their pod is deleted",
+    )
+    network.add_argument("--deaf", action="store_true", help="no change of the cluster is applied until this mode ends")
+    network.add_argument(
+        "--lag", type=int, default=0, metavar="MILLISECONDS", help="each change is applied so much later"
+    )
+    network.add_argument(
+        "--keep-vanished",
+        action="store_true",
+        help="a pod whose object is deleted before its network keeps what it was allowed last",
+    )
+    network.add_argument(
+        "--label-lag",
+        type=float,
+        default=0.0,
+        metavar="SECONDS",
+        help="changes of pods' labels are applied so much later",
+    )
+
+
+def _network_modes(options: argparse.Namespace) -> NetworkModes:
+    return NetworkModes(options.established, options.deaf, options.lag, options.keep_vanished, options.label_lag)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -112,6 +147,8 @@ def main(arguments: list[str] | None = None) -> int:
             print(provider.kubeconfig())
         elif options.command == "node":
             _FAULTS[options.action][1](provider, options.node)
+        elif options.command == "network":
+            provider.node_network(options.node, _network_modes(options))
         elif options.command == "api":
             _API[options.action](provider)
         else:

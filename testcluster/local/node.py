@@ -1,6 +1,7 @@
 """A node: its own namespaces, container runtime, kubelet and kube-proxy, and the faults that it can have."""
 
 import contextlib
+import json
 import os
 import shutil
 import signal
@@ -11,6 +12,7 @@ from testcluster import atomic
 from testcluster.local import cgroups, golden, network, processes
 from testcluster.local.layout import Layout, node_name
 from testcluster.local.programs import Programs
+from testcluster.modes import NetworkModes
 from testcluster.paths import cache
 from testcluster.progress import wait_until
 from testcluster.shell import run
@@ -182,7 +184,8 @@ def renew(layout: Layout, node: int, programs: Programs) -> bool:
 
 
 def up(layout: Layout, node: int, programs: Programs) -> bool:
-    """Switch a node on unless it is on, and return whether it was off."""
+    """Switch a node on unless it is on, and return whether it was off. Its network has no modes then."""
+    _forget_network_modes(layout, node)
     running = init(layout, node)
     if running is not None and network.node_connected(layout, node) and not cgroups.frozen(group(layout, node)):
         renew(layout, node, programs)
@@ -267,6 +270,57 @@ def start_runtime(layout: Layout, node: int) -> None:
     """Start a node's kubelet and container runtime again. It is no error if they run."""
     for name in _RUNTIME:
         (_stopped(layout, node) / name).unlink(missing_ok=True)
+
+
+def _modes_file(layout: Layout, node: int) -> Path:
+    return layout.node_state(node) / "etc" / "network-modes.json"
+
+
+def _modes_answer(layout: Layout, node: int) -> Path:
+    path = _modes_file(layout, node)
+    return path.with_name(f"{path.name}.applied")
+
+
+def network_modes(layout: Layout, node: int) -> NetworkModes:
+    """Return the modes of a node's network."""
+    try:
+        return NetworkModes.from_json(_modes_file(layout, node).read_text())
+    except FileNotFoundError:
+        return NetworkModes()
+
+
+def set_network_modes(layout: Layout, node: int, modes: NetworkModes) -> None:
+    """Give a node's network these modes, and wait until its enforcer has them.
+
+    Raises:
+        RuntimeError: the node is off, or its enforcer refuses them.
+        TimeoutError: its enforcer does not answer.
+    """
+    if init(layout, node) is None:
+        raise RuntimeError(f"cluster {layout.name}: {node_name(node)} is off")
+    answer, text = _modes_answer(layout, node), modes.to_json()
+    atomic.write(_modes_file(layout, node), text)
+
+    def applied() -> bool:
+        try:
+            found = json.loads(answer.read_text())
+        except FileNotFoundError:
+            return False
+        if found["text"] == text and found["error"]:
+            raise RuntimeError(f"{node_name(node)}: {found['error']}")
+        return bool(found["text"] == text)
+
+    wait_until(
+        applied,
+        10,
+        f"the enforcer of {node_name(node)} has its modes (a node that an older checkout started has none)",
+        interval=0.01,
+    )
+
+
+def _forget_network_modes(layout: Layout, node: int) -> None:
+    _modes_answer(layout, node).unlink(missing_ok=True)
+    _modes_file(layout, node).unlink(missing_ok=True)
 
 
 def _stopped(layout: Layout, node: int) -> Path:

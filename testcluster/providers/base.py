@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from testcluster.modes import NetworkModes
+
 
 class ClusterError(RuntimeError):
     """The cluster, or this machine, does not allow the operation; the message says what would help."""
@@ -84,6 +86,10 @@ class Provider(ABC):
     def node_runtime(self, node: str, running: bool) -> None:
         """Stop a node's kubelet and container runtime, or start them again. Its containers continue meanwhile."""
         raise NotSupported(f"provider {self.name} cannot stop a node's kubelet and container runtime")
+
+    def node_network(self, node: str, modes: NetworkModes) -> None:
+        """Give a node's network these modes and no others. They are in force when this returns."""
+        raise NotSupported(f"provider {self.name} has no modes of a node's network")
 
     def api_stop(self) -> None:
         """End the API server at once; everything else continues without it."""

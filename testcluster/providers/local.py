@@ -17,6 +17,7 @@ from testcluster.local import layout as layouts
 from testcluster.local import node as nodes
 from testcluster.local import programs as tools
 from testcluster.local.layout import Layout, node_name, node_number
+from testcluster.modes import NetworkModes
 from testcluster.paths import cache
 from testcluster.progress import Progress
 from testcluster.providers.base import ClusterError, Provider, Status
@@ -142,7 +143,9 @@ class LocalProvider(Provider):
             cable = "" if network.node_connected(layout, node) else ", cable out"
             readiness = "Ready" if node_name(node) in ready else "not Ready"
             frozen = ", frozen" if cgroups.frozen(nodes.group(layout, node)) else ""
-            details.append(f"{node_name(node)} ({layout.node_ip(node)}): {power}{cable}{frozen}, {readiness}")
+            modes = nodes.network_modes(layout, node)
+            weak = f", network: {modes}" if modes != NetworkModes() else ""
+            details.append(f"{node_name(node)} ({layout.node_ip(node)}): {power}{cable}{frozen}{weak}, {readiness}")
         whole = answers and len(ready) == layout.node_count
         details.append(f"kubeconfig: {layout.kubeconfig}")
         how = "is ready" if whole else "is not ready"
@@ -226,6 +229,10 @@ class LocalProvider(Provider):
                 nodes.start_runtime(layout, number)
             else:
                 nodes.stop_runtime(layout, number)
+
+    def node_network(self, node: str, modes: NetworkModes) -> None:
+        layout = self._layout()
+        nodes.set_network_modes(layout, node_number(node, layout), modes)
 
     def api_stop(self) -> None:
         with self._locked():

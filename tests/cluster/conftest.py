@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
+import uuid
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.cluster.operators import APPS, CORE, Fleet, Operator
+from tests.cluster.policy_pods import World, table
 from tests.support.cluster import Cluster, Object, until
 from tests.support.sharing import shared
 from understudy.api.base import GROUP
@@ -70,6 +72,56 @@ def release(
         lambda before: _restore(cluster, helm, kubeconfig, found, before),
     ):
         yield found
+
+
+@pytest.fixture(scope="package")
+def image(pytestconfig: pytest.Config, kubeconfig: object) -> str:
+    """An image with Python: UNDERSTUDY_TEST_IMAGE, or the operator's own, loaded where that can be done."""
+    given = os.environ.get("UNDERSTUDY_TEST_IMAGE")
+    if given:
+        return given
+    provider: str | None = pytestconfig.getoption("cluster")
+    if provider == "current":
+        return "python:3.12-slim"
+    command = [str(REPOSITORY / "scripts" / "images"), "--load", "operator"]
+    done = subprocess.run([*command, *(["--provider", provider] if provider else [])], capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return "localhost/understudy-operator:dev"
+
+
+@pytest.fixture(scope="package")
+def world(cluster: Cluster, image: str) -> Iterator[World]:
+    """The pods of the table of policies."""
+    pods = table()
+    unique = uuid.uuid4().hex[:6]
+    world = World(cluster, {space: f"netpol-{unique}-{space}" for space in pods["namespaces"]}, image)
+    ready = []
+    for node in cluster.list("v1", "Node"):
+        conditions = {c["type"]: c["status"] for c in node["status"]["conditions"]}
+        if (
+            conditions.get("Ready") == "True"
+            and not node["spec"].get("unschedulable")
+            and not node["spec"].get("taints")
+        ):
+            ready.append(node["metadata"]["labels"]["kubernetes.io/hostname"])
+    assert ready, "the cluster has no node that pods may run on"
+    world.nodes = ready
+    created: list[Object] = []
+    try:
+        for space, labels in pods["namespaces"].items():
+            metadata = {"name": world.spaces[space], "labels": labels}
+            created.append(cluster.create({"apiVersion": "v1", "kind": "Namespace", "metadata": metadata}))
+        for pod in pods["pods"]:
+            world.start(pod["namespace"], pod["name"], pod["labels"], pod["node"], pod.get("ports", []))
+        # Beside the table's, an instance on the other node: what is allowed to it hangs on another enforcer.
+        world.start("fleet", "distant", {"app": "distant", "instance": "distant"}, 1, [])
+        world.ready()
+        yield world
+    finally:
+        for agent in world.agents.values():
+            agent.close()
+        for item in created:
+            cluster.delete(item)
 
 
 @pytest.fixture(scope="module")

@@ -209,3 +209,14 @@ class World:
         # Once more, so that a moment between two states cannot pass for the right one.
         wrong = self.unexpected(allowed, denied, address)
         assert not wrong, "; ".join(wrong)
+
+
+def policy(world: World, name: str, spec: Object) -> Object:
+    """A policy of the namespace of the instances."""
+    metadata = {"name": name, "namespace": world.spaces["fleet"]}
+    return {"apiVersion": "networking.k8s.io/v1", "kind": "NetworkPolicy", "metadata": metadata, "spec": spec}
+
+
+def selector(**labels: str) -> Object:
+    """A selector of pods by labels."""
+    return {"matchLabels": labels}

@@ -7,16 +7,14 @@ The gate of a workload stands on them, so they are tested themselves: with the t
 from __future__ import annotations
 
 import os
-import subprocess
 import time
-import uuid
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
-from tests.cluster.policy_pods import REPOSITORY, World, flows, table
-from tests.support.cluster import Cluster, Object
+from tests.cluster.policy_pods import World, flows, policy, selector, table
+from tests.support.cluster import Object
 
 pytestmark = pytest.mark.xdist_group("network policies")  # one process starts the pods of the table
 
@@ -25,67 +23,10 @@ GATED = 7950
 SWITCHES = 50
 
 
-@pytest.fixture(scope="module")
-def image(pytestconfig: pytest.Config, kubeconfig: object) -> str:
-    """An image with Python: UNDERSTUDY_TEST_IMAGE, or the operator's own, loaded where that can be done."""
-    given = os.environ.get("UNDERSTUDY_TEST_IMAGE")
-    if given:
-        return given
-    provider: str | None = pytestconfig.getoption("cluster")
-    if provider == "current":
-        return "python:3.12-slim"
-    command = [str(REPOSITORY / "scripts" / "images"), "--load", "operator"]
-    done = subprocess.run([*command, *(["--provider", provider] if provider else [])], capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return "localhost/understudy-operator:dev"
-
-
-@pytest.fixture(scope="module")
-def world(cluster: Cluster, image: str) -> Iterator[World]:
-    unique = uuid.uuid4().hex[:6]
-    world = World(cluster, {space: f"netpol-{unique}-{space}" for space in TABLE["namespaces"]}, image)
-    ready = []
-    for node in cluster.list("v1", "Node"):
-        conditions = {c["type"]: c["status"] for c in node["status"]["conditions"]}
-        if (
-            conditions.get("Ready") == "True"
-            and not node["spec"].get("unschedulable")
-            and not node["spec"].get("taints")
-        ):
-            ready.append(node["metadata"]["labels"]["kubernetes.io/hostname"])
-    assert ready, "the cluster has no node that pods may run on"
-    world.nodes = ready
-    created: list[Object] = []
-    try:
-        for space, labels in TABLE["namespaces"].items():
-            metadata = {"name": world.spaces[space], "labels": labels}
-            created.append(cluster.create({"apiVersion": "v1", "kind": "Namespace", "metadata": metadata}))
-        for pod in TABLE["pods"]:
-            world.start(pod["namespace"], pod["name"], pod["labels"], pod["node"], pod.get("ports", []))
-        # Beside the table's, an instance on the other node: what is allowed to it hangs on another enforcer.
-        world.start("fleet", "distant", {"app": "distant", "instance": "distant"}, 1, [])
-        world.ready()
-        yield world
-    finally:
-        for agent in world.agents.values():
-            agent.close()
-        for item in created:
-            cluster.delete(item)
-
-
 @pytest.mark.parametrize("case", TABLE["cases"], ids=[case["name"] for case in TABLE["cases"]])
 def test_table(world: World, case: Object) -> None:
     world.enforce(world.policies(case))
     world.expect(flows(case.get("allowed", [])), flows(case.get("denied", [])))
-
-
-def _policy(world: World, name: str, spec: Object) -> Object:
-    metadata = {"name": name, "namespace": world.spaces["fleet"]}
-    return {"apiVersion": "networking.k8s.io/v1", "kind": "NetworkPolicy", "metadata": metadata, "spec": spec}
-
-
-def _selector(**labels: str) -> Object:
-    return {"matchLabels": labels}
 
 
 def test_a_service_is_judged_by_its_pods(world: World) -> None:
@@ -111,9 +52,9 @@ def test_a_service_is_judged_by_its_pods(world: World) -> None:
     try:
         world.expect([*active, *standby, ("active", "robot", "tcp", 8080)], [], address)
         ports = [{"protocol": "UDP", "port": GATED}, {"protocol": "TCP", "port": 8080}]
-        rule = {"from": [{"podSelector": _selector(instance="active")}], "ports": ports}
-        spec = {"podSelector": _selector(app="robot"), "policyTypes": ["Ingress"], "ingress": [rule]}
-        world.enforce([_policy(world, "service", spec)])
+        rule = {"from": [{"podSelector": selector(instance="active")}], "ports": ports}
+        spec = {"podSelector": selector(app="robot"), "policyTypes": ["Ingress"], "ingress": [rule]}
+        world.enforce([policy(world, "service", spec)])
         world.expect(active, [*standby, ("active", "robot", "tcp", 8080)], address)
     finally:
         world.cluster.delete({"apiVersion": "v1", "kind": "Service", "metadata": service["metadata"]})
@@ -128,7 +69,7 @@ def test_an_established_flow_ends_with_its_permission(world: World, protocol: st
     agent, flow = world.agents["active"], f"{protocol} {direction}"
     assert agent.ask("open", flow=flow, protocol=protocol, address=world.address("robot"), port=1000)
     subject = {"Ingress": "robot", "Egress": "nav"}[direction]
-    world.enforce([_policy(world, "deny", {"podSelector": _selector(app=subject), "policyTypes": [direction]})])
+    world.enforce([policy(world, "deny", {"podSelector": selector(app=subject), "policyTypes": [direction]})])
     world.expect([], [("active", "robot", protocol, 1000)])
     assert not agent.ask("say", flow=flow), "the established flow goes on"
     world.enforce([])
@@ -167,13 +108,13 @@ def _crowds_policies(world: World, size: int) -> list[Object]:
         peers: list[Object] = [{"namespaceSelector": {}, "podSelector": others}]
         open_ports: list[Object] = [{"protocol": "TCP", "port": 1, "endPort": 65535}]
         open_ports += [{"protocol": "UDP", "port": p, "endPort": q} for p, q in ((1, 7949), (8150, 65535))]
-        standby: Object = {"podSelector": _selector(app=workload), "policyTypes": ["Ingress", "Egress"]}
+        standby: Object = {"podSelector": selector(app=workload), "policyTypes": ["Ingress", "Egress"]}
         standby |= {"ingress": [{"from": peers}], "egress": [{"to": peers, "ports": open_ports}]}
-        gate = {"podSelector": _selector(app=workload, instance="a"), "policyTypes": ["Egress"], "egress": [{}]}
+        gate = {"podSelector": selector(app=workload, instance="a"), "policyTypes": ["Egress"], "egress": [{}]}
         for name, spec in (("standby", standby), ("gate", gate)):
-            policy = _policy(world, f"{workload}-{name}", spec)
-            policy["metadata"]["namespace"] = world.spaces["crowd"]
-            policies.append(policy)
+            item = policy(world, f"{workload}-{name}", spec)
+            item["metadata"]["namespace"] = world.spaces["crowd"]
+            policies.append(item)
     return policies
 
 
@@ -186,8 +127,8 @@ def test_a_gate_is_switched(world: World, crowd: int, other: str, capsys: pytest
         "podSelector": {"matchExpressions": [{"key": "instance", "operator": "Exists"}]},
         "policyTypes": ["Egress"],
     }
-    opened = {"podSelector": _selector(instance="active"), "policyTypes": ["Egress"], "egress": [{}]}
-    world.enforce([_policy(world, "standby", closed), _policy(world, "gate", opened), *_crowds_policies(world, crowd)])
+    opened = {"podSelector": selector(instance="active"), "policyTypes": ["Egress"], "egress": [{}]}
+    world.enforce([policy(world, "standby", closed), policy(world, "gate", opened), *_crowds_policies(world, crowd)])
     world.expect([("active", "robot", "udp", GATED)], [(other, "robot", "udp", GATED)])
     senders = ("active", other)
     for name in senders:
@@ -199,7 +140,7 @@ def test_a_gate_is_switched(world: World, crowd: int, other: str, capsys: pytest
     for turn in range(SWITCHES):
         to = senders[(turn + 1) % 2]
         asked = time.time_ns()
-        world.cluster.patch(gate, {"spec": {"podSelector": _selector(instance=to)}})
+        world.cluster.patch(gate, {"spec": {"podSelector": selector(instance=to)}})
         turns.append((to, asked, time.time_ns()))
         time.sleep(0.08)
     ended = time.time_ns()
@@ -255,11 +196,11 @@ while True:
 def impatient(world: World) -> Iterator[str]:
     """An instance behind a closed gate that sends to the robot all the time, from its start."""
     closed = {
-        "podSelector": _selector(app="impatient"),
+        "podSelector": selector(app="impatient"),
         "policyTypes": ["Egress"],
         "egress": [{"to": [{"podSelector": {}}], "ports": [{"protocol": "UDP", "port": 1000}]}],
     }
-    world.enforce([_policy(world, "closed", closed)])
+    world.enforce([policy(world, "closed", closed)])
     world.expect([("active", "robot", "udp", GATED)], [])
     world.agents["robot"].ask("arrivals")
     command = ["python3", "-c", IMPATIENT, world.address("robot")]

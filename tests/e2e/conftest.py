@@ -13,7 +13,7 @@ from typing import TypeVar
 
 import pytest
 
-from tests.e2e.faults import ApiServer, Stage, cluster
+from tests.e2e.faults import ApiServer, Network, Stage, cluster
 from tests.e2e.kubectl import Failed, Kubectl, helm
 from tests.e2e.navigation import Navigator
 from tests.e2e.scenario import Late, Robot, eventually, manifest
@@ -31,7 +31,7 @@ NOT_AGAIN = ["^Never: "]
 """A test that fails is run once more, and said to have been: the machine is busy. What may never be at a robot is red at once."""
 
 
-ALONE = {"api_server", "cordoned", "earlier", "stage", "without_operator"}
+ALONE = {"api_server", "cordoned", "earlier", "network", "stage", "without_operator"}
 """Fixtures that change what all robots of a cluster share: its nodes, its API server, the operator."""
 
 
@@ -238,6 +238,16 @@ def stage(kubectl: Kubectl) -> Iterator[Stage]:
     found = Stage(kubectl)
     yield found
     found.clear()
+
+
+@pytest.fixture
+def network(kubectl: Kubectl) -> Iterator[Network]:
+    """The networks of the nodes, which are as they should be when the test has ended."""
+    if Path(cluster("kubeconfig").strip()) != kubectl.kubeconfig:
+        pytest.skip("the cluster under test isn't the one whose network scripts/cluster can weaken")
+    found = Network()
+    yield found
+    found.restore()
 
 
 @pytest.fixture

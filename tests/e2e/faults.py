@@ -51,6 +51,24 @@ class ApiServer:
         self.stopped = False
 
 
+class Network:
+    """The networks of the nodes of the cluster under test, which can be given modes (`scripts/cluster network --help`)."""
+
+    def __init__(self) -> None:
+        self._weak: set[str] = set()
+
+    def weaken(self, node: str, *modes: str) -> None:
+        """Give the network of a node these modes and no others."""
+        self._weak.add(node)
+        cluster("network", node, *modes)
+
+    def restore(self) -> None:
+        """Let all of them work as they should again."""
+        for node in sorted(self._weak):
+            cluster("network", node)
+        self._weak.clear()
+
+
 def staying(objects: list[Object]) -> list[Object]:
     """The objects with Deployments whose pods stay on a node that isn't ready: after a restart of the API server each node
     may be taken for lost, until it has given a sign of life. The robot isn't what is to fail.

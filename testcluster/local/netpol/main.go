@@ -32,6 +32,7 @@ func main() {
 	results := flag.String("cni-results", "/var/lib/cni/results", "`DIRECTORY` where libcni keeps results; empty: pods' addresses come from their status alone")
 	reconcile := flag.Duration("reconcile", 30*time.Second, "how often the kernel's table is compared and repaired")
 	priority := flag.Int("nice", -10, "scheduling priority of this process")
+	modes := flag.String("modes", "", "`FILE` with modes of weak networks as JSON, which is followed; the answer is in FILE.applied")
 	cleanup := flag.Bool("cleanup", false, "remove the rules and exit")
 	flag.Parse()
 	slog.SetDefault(slog.New(slog.NewJSONHandler(os.Stderr, nil)))
@@ -51,7 +52,7 @@ func main() {
 		if err != nil {
 			return err
 		}
-		return run(api, *metrics, enforcer.Options{Node: *node, PodInterfaces: *interfaces, CNIResults: *results, Reconcile: *reconcile})
+		return run(api, *metrics, enforcer.Options{Node: *node, PodInterfaces: *interfaces, CNIResults: *results, Reconcile: *reconcile, Modes: *modes})
 	}()
 	if err != nil {
 		slog.Error(err.Error())

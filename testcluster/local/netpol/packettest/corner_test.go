@@ -233,18 +233,11 @@ func TestANewPodIsKnownByItsNetwork(t *testing.T) {
 	pod.Name, pod.UID, pod.Status = "fresh", "uid-of-fresh", corev1.PodStatus{Phase: corev1.PodPending}
 	w.api.set(t, pod)
 	w.expect(t, flows("fresh -> robot udp/1000", "robot -> fresh udp/1000"), false) // unknown
-	write := func(file, uid string) {
-		t.Helper()
-		text := fmt.Sprintf(`{"kind":"cniCacheV1","containerId":"c","ifName":"eth0","networkName":"pods",
-			"cniArgs":[["IgnoreUnknown","1"],["K8S_POD_NAMESPACE","fleet"],["K8S_POD_NAME","fresh"],["K8S_POD_UID","%s"]],
-			"result":{"cniVersion":"1.0.0","ips":[{"address":"%s/24","gateway":"10.199.1.1"}]}}`, uid, h.addrs[0])
-		must(t, os.WriteFile(filepath.Join(w.nodes[0].results, file), []byte(text), 0o600))
-	}
-	write("pods-other", "uid-of-an-earlier-one")
+	w.writeSandbox(t, h, "pods-other", "uid-of-an-earlier-one")
 	time.Sleep(50 * time.Millisecond)
 	w.expect(t, flows("fresh -> robot udp/1000"), false)
 	from := len(w.nodes[0].seen())
-	write("pods-c", "uid-of-fresh")
+	w.writeSandbox(t, h, "pods-c", "uid-of-fresh")
 	commit := w.nodes[0].wait(t, from, func(c enforcer.Commit) bool { return c.Causes[0].Kind == "Sandbox" })
 	t.Logf("known %v after the CNI's result was written", commit.Latency())
 	w.expect(t, flows("fresh -> robot udp/1000", "robot -> fresh udp/1000"), true)
@@ -252,6 +245,15 @@ func TestANewPodIsKnownByItsNetwork(t *testing.T) {
 	must(t, os.Remove(filepath.Join(w.nodes[0].results, "pods-c")))
 	w.nodes[0].wait(t, from, func(c enforcer.Commit) bool { return c.Causes[0].Event == "delete" })
 	w.expect(t, flows("fresh -> robot udp/1000"), false)
+}
+
+// writeSandbox writes the CNI's result for a pod of node 0.
+func (w *world) writeSandbox(t *testing.T, h *host, file, uid string) {
+	t.Helper()
+	text := fmt.Sprintf(`{"kind":"cniCacheV1","containerId":"c","ifName":"eth0","networkName":"pods",
+		"cniArgs":[["IgnoreUnknown","1"],["K8S_POD_NAMESPACE","fleet"],["K8S_POD_NAME","%s"],["K8S_POD_UID","%s"]],
+		"result":{"cniVersion":"1.0.0","ips":[{"address":"%s/24","gateway":"10.199.1.1"}]}}`, h.name, uid, h.addrs[0])
+	must(t, os.WriteFile(filepath.Join(w.nodes[0].results, file), []byte(text), 0o600))
 }
 
 func TestIPv4AndIPv6AreJudgedAlike(t *testing.T) {

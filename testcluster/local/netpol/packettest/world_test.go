@@ -58,6 +58,7 @@ type node struct {
 	stop    context.CancelFunc
 	stopped chan struct{}
 	results string // directory of CNI results
+	modes   string // file of modes
 
 	mu      sync.Mutex
 	commits []enforcer.Commit
@@ -85,7 +86,7 @@ func newWorld(t testing.TB) *world {
 	w.lan.ip(t, "link add br0 type bridge", "link set br0 up")
 	for i := range w.nodes {
 		n := &node{name: fmt.Sprint("node", i), namespace: newNamespace(t, dir, fmt.Sprint("node", i)), grown: make(chan struct{})}
-		n.results = fmt.Sprintf("%s/results%d", dir, i)
+		n.results, n.modes = fmt.Sprintf("%s/results%d", dir, i), fmt.Sprintf("%s/modes%d", dir, i)
 		w.nodes[i] = n
 		w.plug(t, n.namespace, fmt.Sprintf("192.0.2.1%d/24", i+1), fmt.Sprintf("fd00:2::1%d/64", i+1))
 		n.sysctl(t, "ipv4/ip_forward=1", "ipv6/conf/all/forwarding=1", "ipv4/icmp_ratelimit=0")
@@ -158,13 +159,21 @@ func (w *world) enforce(t testing.TB) {
 func (w *world) startNode(t testing.TB, i int) {
 	t.Helper()
 	n := w.nodes[i]
+	before, seen := w.api.begun(), len(n.seen())
+	w.launch(t, n)
+	w.api.waitBegun(t, before+3) // the fake API loses what happens between a list and its watch
+	n.wait(t, seen, func(c enforcer.Commit) bool {
+		return slices.ContainsFunc(c.Causes, func(c enforcer.Cause) bool { return c.Event == "synced" })
+	})
+}
+
+func (w *world) launch(t testing.TB, n *node) {
+	t.Helper()
 	report := enforcer.NewReport()
 	report.Observe = n.observe
 	ctx, cancel := context.WithCancel(context.Background())
 	n.stop, n.stopped = cancel, make(chan struct{})
-	engine := enforcer.New(enforcer.Options{Node: n.name, PodInterfaces: "veth", CNIResults: n.results, Reconcile: 250 * time.Millisecond, Netns: n.file}, report)
-	before := w.api.begun()
-	seen := len(n.seen())
+	engine := enforcer.New(enforcer.Options{Node: n.name, PodInterfaces: "veth", CNIResults: n.results, Reconcile: 250 * time.Millisecond, Modes: n.modes, Netns: n.file}, report)
 	go func() {
 		defer close(n.stopped)
 		if err := engine.Run(ctx, w.api.api()); err != nil {
@@ -172,10 +181,6 @@ func (w *world) startNode(t testing.TB, i int) {
 		}
 	}()
 	t.Cleanup(func() { n.halt() })
-	w.api.waitBegun(t, before+3) // the fake API loses what happens between a list and its watch
-	n.wait(t, seen, func(c enforcer.Commit) bool {
-		return slices.ContainsFunc(c.Causes, func(c enforcer.Cause) bool { return c.Event == "synced" })
-	})
 }
 
 func (n *node) halt() {

@@ -66,7 +66,7 @@ func expectChange(t *testing.T, q *queue, event string) {
 	case <-time.After(5 * time.Second):
 		t.Fatalf("no %s after 5 s", event)
 	}
-	if list := q.take(); len(list) != 1 || list[0].cause.Event != event {
+	if list, _ := q.take(time.Now()); len(list) != 1 || list[0].cause.Event != event {
 		t.Fatalf("want one %s, got %+v", event, list)
 	}
 }
@@ -80,7 +80,8 @@ func TestAListSaysWhatHasGone(t *testing.T) {
 	}
 	events := func() string {
 		text := ""
-		for _, c := range q.take() {
+		list, _ := q.take(time.Now())
+		for _, c := range list {
 			text += c.cause.Event + " " + c.cause.Name + ","
 		}
 		return text

@@ -23,6 +23,7 @@ type Options struct {
 	PodInterfaces string        // prefix of the names of the host ends of pods' interfaces; see ruleset.NewRenderer
 	CNIResults    string        // libcni's directory of results; empty: addresses come from status.podIPs alone
 	Reconcile     time.Duration // how often the kernel's table is compared with what it should be
+	Modes         string        // the file that Modes are read from; empty: none are
 	Netns         *os.File      // nil: the process' own
 }
 
@@ -40,6 +41,11 @@ type Engine struct {
 	failed  bool     // the last transaction was refused
 	listed  int      // kinds whose objects have all been taken
 	pending []change // what is not yet in the kernel
+
+	modeFile modeFile
+	modes    Modes
+	relabels []relabel        // in the order of their receipt
+	waiting  <-chan time.Time // until the first change is due that a mode holds back
 }
 
 // New makes an engine; it does nothing before Run.
@@ -52,6 +58,8 @@ func New(options Options, report *Report) *Engine {
 		index:   policy.NewIndex(options.Node),
 		render:  ruleset.NewRenderer(options.PodInterfaces),
 		report:  report,
+
+		modeFile: modeFile{path: options.Modes},
 	}
 }
 
@@ -74,6 +82,16 @@ func (g *Engine) Run(ctx context.Context, api API) error {
 	}
 	defer conn.Close()
 	g.conn = conn
+	orders := make(chan []byte)
+	if g.options.Modes != "" {
+		// Before the first change, which a deaf enforcer must not apply.
+		if text, there := g.modeFile.read(); there {
+			if err := g.obey(text); err != nil {
+				return err
+			}
+		}
+		go g.modeFile.follow(ctx, orders)
+	}
 	if g.options.CNIResults != "" {
 		watch := &sandboxes{g.options.CNIResults, g.queue}
 		if err := watch.start(ctx); err != nil {
@@ -100,6 +118,14 @@ func (g *Engine) Run(ctx context.Context, api API) error {
 				continue // the retry includes these changes
 			}
 			err = g.apply()
+		case <-g.waiting:
+			g.absorb()
+			if retry != nil || !g.synced() {
+				continue
+			}
+			err = g.apply()
+		case text := <-orders:
+			err = g.obey(text)
 		case <-retry:
 			g.absorb()
 			err = g.apply()
@@ -126,13 +152,36 @@ func (g *Engine) Run(ctx context.Context, api API) error {
 // could open what is closed.
 func (g *Engine) synced() bool { return g.listed == len(g.sources) }
 
-// absorb applies the waiting changes to the index.
+// absorb applies the waiting changes to the index, as far as the modes let it.
 func (g *Engine) absorb() {
-	for _, change := range g.queue.take() {
+	g.waiting = nil
+	if g.modes.Deaf {
+		return
+	}
+	now := time.Now()
+	list, held := g.queue.take(now.Add(-g.modes.lag()))
+	g.absorbAll(list)
+	due := g.relabelDue(now)
+	if !held.IsZero() && (due.IsZero() || held.Add(g.modes.lag()).Before(due)) {
+		due = held.Add(g.modes.lag())
+	}
+	if !due.IsZero() {
+		g.waiting = time.After(time.Until(due))
+	}
+}
+
+func (g *Engine) absorbAll(list []change) {
+	for _, change := range list {
 		if change.cause.Event == synced {
 			g.listed++
 		}
-		matters, problems := change.apply(g.index)
+		var matters bool
+		var problems []error
+		if change.pod != nil {
+			matters = g.setPod(change.pod, change)
+		} else {
+			matters, problems = change.apply(g.index)
+		}
 		for _, problem := range problems {
 			slog.Error(problem.Error())
 		}

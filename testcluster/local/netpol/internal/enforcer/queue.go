@@ -20,15 +20,17 @@ type Cause struct {
 // synced is the event after a kind's first list.
 const synced = "synced"
 
-// change is an event with its effect on the index. apply reports whether it has an effect.
+// change is an event with its effect on the index. apply reports whether it has an effect. A pod that came or changed is
+// there itself instead.
 type change struct {
 	cause    Cause
 	received time.Time
 	apply    func(*policy.Index) (bool, []error)
+	pod      *policy.Pod
 }
 
-// queue passes changes on in order. take returns all waiting changes, so a burst becomes one transaction, and a single
-// change does not wait for others.
+// queue passes changes on in order. take returns all waiting changes that were received by then, so a burst becomes one
+// transaction, and a single change does not wait for others. It also returns when the first of those that stay was received.
 type queue struct {
 	mu      sync.Mutex
 	waiting []change
@@ -47,10 +49,15 @@ func (q *queue) put(c change) {
 	}
 }
 
-func (q *queue) take() []change {
+func (q *queue) take(until time.Time) (list []change, next time.Time) {
 	q.mu.Lock()
 	defer q.mu.Unlock()
-	list := q.waiting
-	q.waiting = nil
-	return list
+	for i, c := range q.waiting {
+		if c.received.After(until) {
+			list, q.waiting = q.waiting[:i:i], q.waiting[i:]
+			return list, c.received
+		}
+	}
+	list, q.waiting = q.waiting, nil
+	return list, time.Time{}
 }

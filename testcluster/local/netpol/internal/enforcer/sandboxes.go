@@ -135,8 +135,8 @@ func (s *sandboxes) forget(name string, known map[string]bool) {
 		return
 	}
 	delete(known, name)
-	s.queue.put(change{Cause{Kind: "Sandbox", Name: name, Event: "delete"}, time.Now(),
-		func(x *policy.Index) (bool, []error) { return x.DeleteSandbox(name), nil }})
+	s.queue.put(change{cause: Cause{Kind: "Sandbox", Name: name, Event: "delete"}, received: time.Now(),
+		apply: func(x *policy.Index) (bool, []error) { return x.DeleteSandbox(name), nil }})
 }
 
 func (s *sandboxes) read(name string, known map[string]bool) {
@@ -155,8 +155,8 @@ func (s *sandboxes) read(name string, known map[string]bool) {
 	}
 	sandbox.Created = modified(path, received)
 	known[name] = true
-	s.queue.put(change{Cause{Kind: "Sandbox", Namespace: sandbox.Pod.Namespace, Name: sandbox.Pod.Name, Event: "set"}, received,
-		func(x *policy.Index) (bool, []error) { x.SetSandbox(name, sandbox); return true, nil }})
+	s.queue.put(change{cause: Cause{Kind: "Sandbox", Namespace: sandbox.Pod.Namespace, Name: sandbox.Pod.Name, Event: "set"}, received: received,
+		apply: func(x *policy.Index) (bool, []error) { x.SetSandbox(name, sandbox); return true, nil }})
 }
 
 func modified(path string, otherwise time.Time) time.Time {

@@ -31,7 +31,7 @@ type source struct {
 	kind   string
 	queue  *queue
 	known  map[policy.Key]struct{} // objects in the queue or taken; used by the reflector's goroutine only
-	set    func(object any) func(*policy.Index) (bool, []error)
+	set    func(object any) change // its effect
 	remove func(key policy.Key) func(*policy.Index) bool
 	listed bool // used by the reflector's goroutine only
 	broken atomic.Bool
@@ -39,10 +39,7 @@ type source struct {
 
 func podSource(q *queue) *source {
 	return &source{kind: "Pod", queue: q, known: map[policy.Key]struct{}{},
-		set: func(object any) func(*policy.Index) (bool, []error) {
-			pod := policy.FromPod(object.(*corev1.Pod))
-			return func(x *policy.Index) (bool, []error) { return x.SetPod(pod), nil }
-		},
+		set: func(object any) change { return change{pod: policy.FromPod(object.(*corev1.Pod))} },
 		remove: func(key policy.Key) func(*policy.Index) bool {
 			return func(x *policy.Index) bool { return x.DeletePod(key) }
 		}}
@@ -50,10 +47,10 @@ func podSource(q *queue) *source {
 
 func namespaceSource(q *queue) *source {
 	return &source{kind: "Namespace", queue: q, known: map[policy.Key]struct{}{},
-		set: func(object any) func(*policy.Index) (bool, []error) {
+		set: func(object any) change {
 			namespace := object.(*corev1.Namespace)
 			name, set := namespace.Name, labels.Set(namespace.Labels)
-			return func(x *policy.Index) (bool, []error) { return x.SetNamespace(name, set), nil }
+			return change{apply: func(x *policy.Index) (bool, []error) { return x.SetNamespace(name, set), nil }}
 		},
 		remove: func(key policy.Key) func(*policy.Index) bool {
 			return func(x *policy.Index) bool { return x.DeleteNamespace(key.Name) }
@@ -62,9 +59,9 @@ func namespaceSource(q *queue) *source {
 
 func policySource(q *queue) *source {
 	return &source{kind: "NetworkPolicy", queue: q, known: map[policy.Key]struct{}{},
-		set: func(object any) func(*policy.Index) (bool, []error) {
+		set: func(object any) change {
 			spec := object.(*networkingv1.NetworkPolicy)
-			return func(x *policy.Index) (bool, []error) { return x.SetPolicy(spec) }
+			return change{apply: func(x *policy.Index) (bool, []error) { return x.SetPolicy(spec) }}
 		},
 		remove: func(key policy.Key) func(*policy.Index) bool {
 			return func(x *policy.Index) bool { return x.DeletePolicy(key) }
@@ -195,14 +192,16 @@ func (s *source) put(object any, event string, received time.Time) error {
 		return fmt.Errorf("%s: unexpected %T in the watch", s.kind, object)
 	}
 	s.known[keyOf(about)] = struct{}{}
-	s.queue.put(change{s.cause(about, event), received, s.set(object)})
+	c := s.set(object)
+	c.cause, c.received = s.cause(about, event), received
+	s.queue.put(c)
 	return nil
 }
 
 func (s *source) drop(key policy.Key, cause Cause, received time.Time) {
 	delete(s.known, key)
 	apply := s.remove(key)
-	s.queue.put(change{cause, received, func(x *policy.Index) (bool, []error) { return apply(x), nil }})
+	s.queue.put(change{cause: cause, received: received, apply: func(x *policy.Index) (bool, []error) { return apply(x), nil }})
 }
 
 // Add, Update, Delete, Replace and Resync are what a reflector calls, all from one goroutine.

@@ -87,6 +87,12 @@ const (
 	StateUntracked uint32 = 64
 )
 
+// CtStatus loads the status bits of the packet's connection; a packet without a connection does not match the rule.
+func CtStatus(into Register) Expr { return expression("ct", ct(unix.NFT_CT_STATUS, into)) }
+
+// StatusConfirmed is the bit of CtStatus that is set once a packet of the connection has passed all hooks.
+const StatusConfirmed uint32 = 8
+
 // AnyBit matches when the register, a number in host order, has one of the bits.
 func AnyBit(reg Register, bits uint32) []Expr {
 	var a attrs

@@ -24,25 +24,15 @@ type Index struct {
 	peers      map[PeerID]*peerSet
 	names      map[PortName]*nameSet
 	endpoints  map[netip.Addr]*Endpoint
+	keeps      bool // see KeepVanished
 }
 
 type tracked struct {
 	*Pod
 	addrs    []netip.Addr
-	endpoint *Endpoint // nil until computed; only for pods of this node
-}
-
-type peerSet struct {
-	*peerSelector
-	uses   int
-	set    *collection[netip.Addr]
-	latest *Addresses
-}
-
-type nameSet struct {
-	uses   int
-	set    *collection[Target]
-	latest *Targets
+	endpoint *Endpoint   // nil until computed; only for pods of this node
+	vanished bool        // its object is gone, and its endpoint stays as it is
+	kept     []*compiled // the policies of a vanished pod
 }
 
 // NewIndex returns an empty index for the node of that name.
@@ -64,12 +54,24 @@ func (x *Index) SetPod(pod *Pod) bool {
 	return true
 }
 
+// Pod returns a pod that is known, or nil.
+func (x *Index) Pod(key Key) *Pod {
+	if found := x.pods[key]; found != nil {
+		return found.Pod
+	}
+	return nil
+}
+
 // DeletePod forgets a pod; false when it was not known.
 func (x *Index) DeletePod(key Key) bool {
-	if x.pods[key] == nil {
+	old := x.pods[key]
+	if old == nil {
 		return false
 	}
 	x.replacePod(key, nil)
+	if x.keeps {
+		x.keep(old)
+	}
 	return true
 }
 
@@ -91,6 +93,7 @@ func (x *Index) DeleteSandbox(id string) bool {
 		return false
 	}
 	delete(x.sandboxes, id)
+	x.release(vanishedKey(sandbox.Pod, sandbox.UID))
 	delete(x.byPod[sandbox.Pod], id)
 	if len(x.byPod[sandbox.Pod]) == 0 {
 		delete(x.byPod, sandbox.Pod)
@@ -283,31 +286,17 @@ func (x *Index) replacePolicy(key Key, policy *compiled) {
 			x.inSpace[key.Namespace] = map[Key]*compiled{}
 		}
 		x.inSpace[key.Namespace][key] = policy
-		for id, selector := range policy.peers {
-			x.usePeer(id, selector)
-		}
-		for name := range policy.names {
-			x.useName(name)
-		}
+		x.use(policy)
 	} else {
 		delete(x.policies, key)
 		delete(x.inSpace[key.Namespace], key)
 	}
 	if old != nil { // after the new one's, so that what both use is kept
-		for id := range old.peers {
-			if x.peers[id].uses--; x.peers[id].uses == 0 {
-				delete(x.peers, id)
-			}
-		}
-		for name := range old.names {
-			if x.names[name].uses--; x.names[name].uses == 0 {
-				delete(x.names, name)
-			}
-		}
+		x.leave(old)
 	}
 	for addr, endpoint := range x.endpoints {
 		owner := x.owners[addr]
-		if owner.Namespace != key.Namespace {
+		if owner.Namespace != key.Namespace || owner.vanished {
 			continue
 		}
 		if (old != nil && old.selects.Matches(owner.Labels)) || (policy != nil && policy.selects.Matches(owner.Labels)) {
@@ -319,37 +308,21 @@ func (x *Index) replacePolicy(key Key, policy *compiled) {
 	}
 }
 
-func (x *Index) usePeer(id PeerID, selector *peerSelector) {
-	if x.peers[id] == nil {
-		peer := &peerSet{peerSelector: selector, set: newCollection(netip.Addr.Compare)}
-		for addr, owner := range x.owners {
-			peer.set.put(addr, x.matches(selector, owner.Pod))
-		}
-		x.peers[id] = peer
-	}
-	x.peers[id].uses++
-}
-
-func (x *Index) useName(name PortName) {
-	if x.names[name] == nil {
-		ports := &nameSet{set: newCollection(compareTargets)}
-		for addr, owner := range x.owners {
-			for _, port := range owner.Ports {
-				if port.PortName == name {
-					ports.set.put(Target{addr, port.Number}, true)
-				}
-			}
-		}
-		x.names[name] = ports
-	}
-	x.names[name].uses++
-}
-
 func (x *Index) endpoint(pod *tracked) *Endpoint {
 	if pod.endpoint != nil {
 		return pod.endpoint
 	}
 	endpoint := &Endpoint{Pod: pod.Key}
+	for _, policy := range x.policiesOf(pod.Pod) {
+		endpoint.Ingress.add(policy.ingress)
+		endpoint.Egress.add(policy.egress)
+	}
+	pod.endpoint = endpoint
+	return endpoint
+}
+
+// policiesOf returns the policies that select a pod.
+func (x *Index) policiesOf(pod *Pod) []*compiled {
 	var policies []*compiled
 	for _, policy := range x.inSpace[pod.Namespace] {
 		if policy.selects.Matches(pod.Labels) {
@@ -357,12 +330,7 @@ func (x *Index) endpoint(pod *tracked) *Endpoint {
 		}
 	}
 	slices.SortFunc(policies, func(a, b *compiled) int { return compareKeys(a.key, b.key) })
-	for _, policy := range policies {
-		endpoint.Ingress.add(policy.ingress)
-		endpoint.Egress.add(policy.egress)
-	}
-	pod.endpoint = endpoint
-	return endpoint
+	return policies
 }
 
 func (i *Isolation) add(rules *Rules) {

@@ -146,6 +146,19 @@ func (p *Pod) same(other *Pod) bool {
 		slices.Equal(p.Reported, other.Reported) && slices.Equal(p.Ports, other.Ports)
 }
 
+// SameLabels reports whether both have the same labels.
+func (p *Pod) SameLabels(other *Pod) bool { return labels.Equals(p.Labels, other.Labels) }
+
+// WithLabelsOf returns the pod with the labels of another one.
+func (p *Pod) WithLabelsOf(other *Pod) *Pod {
+	if p.SameLabels(other) {
+		return p
+	}
+	relabelled := *p
+	relabelled.Labels = other.Labels
+	return &relabelled
+}
+
 // Sandbox is an address the node's CNI has given to a pod. It is known before the pod's first container starts, about a
 // second earlier than status.podIPs, and for as long as the network exists, also when the Pod object is long gone.
 type Sandbox struct {

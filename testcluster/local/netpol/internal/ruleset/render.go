@@ -41,7 +41,8 @@ const (
 
 // Renderer turns models into rulesets. It remembers the last one's parts, since most parts of a model stay the same.
 type Renderer struct {
-	podInterfaces string
+	podInterfaces   string
+	establishedLive bool
 	memory
 }
 
@@ -89,9 +90,13 @@ func NewRenderer(podInterfaces string) *Renderer {
 	return &Renderer{podInterfaces: podInterfaces}
 }
 
+// LetEstablishedLive sets whether the flows live on of which a packet was let through before, whatever the policies say now.
+// Flows of unknown pods end all the same.
+func (r *Renderer) LetEstablishedLive(live bool) { r.establishedLive = live }
+
 // Render renders the model. The ruleset shares unchanged parts with the ruleset that was rendered before.
 func (r *Renderer) Render(model *policy.Model) *nft.Ruleset {
-	p := &pass{podInterfaces: r.podInterfaces, model: model, out: nft.NewRuleset(), before: r.memory, memory: newMemory()}
+	p := &pass{podInterfaces: r.podInterfaces, establishedLive: r.establishedLive, model: model, out: nft.NewRuleset(), before: r.memory, memory: newMemory()}
 	p.base()
 	for _, f := range families {
 		p.family(f)
@@ -131,10 +136,11 @@ var sides = []side{
 
 // pass is one rendering.
 type pass struct {
-	podInterfaces string
-	model         *policy.Model
-	out           *nft.Ruleset
-	before        memory
+	podInterfaces   string
+	establishedLive bool
+	model           *policy.Model
+	out             *nft.Ruleset
+	before          memory
 	memory
 }
 
@@ -170,6 +176,12 @@ func (p *pass) base() {
 					rule("", e(nft.InputInterface(nft.R0), nft.Equal(nft.R0, name), nft.Do(nft.Jump("from_pods")))),
 					rule("", e(nft.OutputInterface(nft.R0), nft.Equal(nft.R0, name), nft.Do(nft.Jump("to_pods")))))
 			}
+		}
+		if p.establishedLive {
+			// The kernel confirms a connection when its first packet has passed. The state "established" would need a reply,
+			// which a DDS writer's flow of samples never gets.
+			chain.Rules = append(chain.Rules, rule("established", e(nft.CtStatus(nft.R0)),
+				nft.AnyBit(nft.R0, nft.StatusConfirmed), e(nft.Do(nft.Accept))))
 		}
 		for _, f := range families {
 			chain.Rules = append(chain.Rules, rule("", e(nft.CtSource(f.Family, side.subject, nft.R0),

@@ -1,0 +1,180 @@
+package enforcer
+
+import (
+	"bytes"
+	"context"
+	"encoding/json"
+	"errors"
+	"fmt"
+	"io"
+	"io/fs"
+	"log/slog"
+	"os"
+	"time"
+
+	"understudy/testcluster/understudy-netpol/internal/policy"
+)
+
+// Modes are weaknesses that networks of real clusters have. A test switches them on for one node while it runs.
+type Modes struct {
+	// Established lets a flow live on of which a packet was let through before, whatever the policies say now.
+	Established bool `json:"established"`
+	// Deaf applies no changes of the cluster. They wait, and are applied when the mode ends.
+	Deaf bool `json:"deaf"`
+	// LagMilliseconds applies each change that much later.
+	LagMilliseconds uint `json:"lagMilliseconds"`
+	// KeepVanished leaves a pod of this node what it was allowed last when its object is deleted before its network.
+	KeepVanished bool `json:"keepVanished"`
+	// LabelLagSeconds applies a change of a pod's labels that much later; all else of the pod at once.
+	LabelLagSeconds float64 `json:"labelLagSeconds"`
+}
+
+func (m Modes) lag() time.Duration { return time.Duration(m.LagMilliseconds) * time.Millisecond }
+
+func (m Modes) labelLag() time.Duration {
+	return time.Duration(m.LabelLagSeconds * float64(time.Second))
+}
+
+// parseModes refuses what it does not know: a misspelt mode would be a test that tests nothing.
+func parseModes(text []byte) (modes Modes, err error) {
+	if len(bytes.TrimSpace(text)) == 0 {
+		return modes, nil
+	}
+	decoder := json.NewDecoder(bytes.NewReader(text))
+	decoder.DisallowUnknownFields()
+	if err := decoder.Decode(&modes); err != nil {
+		return Modes{}, fmt.Errorf("modes: %w", err)
+	}
+	if _, err := decoder.Token(); !errors.Is(err, io.EOF) {
+		return Modes{}, errors.New("modes: one JSON object is needed, and nothing after it")
+	}
+	if modes.LabelLagSeconds < 0 {
+		return Modes{}, fmt.Errorf("modes: labelLagSeconds is %g, which is negative", modes.LabelLagSeconds)
+	}
+	return modes, nil
+}
+
+// modeFile is where the modes come from, and where the answer goes: a file beside it with the suffix .applied.
+type modeFile struct {
+	path string
+	last fs.FileInfo
+}
+
+// Applied is the answer: the text that was read, and why it was refused.
+type Applied struct {
+	Text  string `json:"text"`
+	Error string `json:"error"`
+}
+
+const modesEvery = 20 * time.Millisecond
+
+// read returns the file's text, and false if it is the file that was read before. Without a file the text is empty.
+func (f *modeFile) read() ([]byte, bool) {
+	info, err := os.Stat(f.path)
+	if err != nil {
+		changed := f.last != nil
+		f.last = nil
+		return nil, changed
+	}
+	if f.last != nil && os.SameFile(f.last, info) && f.last.ModTime().Equal(info.ModTime()) {
+		return nil, false
+	}
+	text, err := os.ReadFile(f.path)
+	if err != nil {
+		return nil, false // it is gone again; the next look says so
+	}
+	f.last = info
+	return text, true
+}
+
+// follow sends the text of each new version of the file.
+func (f *modeFile) follow(ctx context.Context, to chan<- []byte) {
+	for ctx.Err() == nil {
+		sleep(ctx, modesEvery)
+		if text, changed := f.read(); changed {
+			select {
+			case to <- text:
+			case <-ctx.Done():
+			}
+		}
+	}
+}
+
+func (f *modeFile) answer(text []byte, refused error) {
+	applied := Applied{Text: string(text)}
+	if refused != nil {
+		applied.Error = refused.Error()
+	}
+	data, err := json.Marshal(applied)
+	if err == nil {
+		partial := f.path + ".partial"
+		if err = os.WriteFile(partial, data, 0o644); err == nil {
+			err = os.Rename(partial, f.path+".applied")
+		}
+	}
+	if err != nil {
+		slog.Error("answering to the modes", "error", err.Error())
+	}
+}
+
+// obey takes new modes. They are in the kernel when it returns without an error, as far as anything is in the kernel yet.
+func (g *Engine) obey(text []byte) error {
+	modes, err := parseModes(text)
+	if err != nil {
+		slog.Error(err.Error())
+		g.modeFile.answer(text, err)
+		return nil // the modes stay as they were
+	}
+	slog.Info("modes", "modes", modes)
+	g.modes = modes
+	g.render.LetEstablishedLive(modes.Established)
+	g.index.KeepVanished(modes.KeepVanished)
+	g.pending = append(g.pending, change{cause: Cause{Kind: "Modes", Name: g.options.Node, Event: "set"}, received: time.Now()})
+	g.absorb()
+	if g.synced() {
+		err = g.apply()
+	}
+	g.modeFile.answer(text, err)
+	return err
+}
+
+// relabel is a change of a pod's labels that waits.
+type relabel struct {
+	pod      *policy.Pod
+	cause    Cause
+	received time.Time
+}
+
+// setPod brings a pod into the index, with its labels of before if changes of labels lag.
+func (g *Engine) setPod(pod *policy.Pod, from change) bool {
+	known := g.index.Pod(pod.Key)
+	if known == nil || known.UID != pod.UID {
+		return g.index.SetPod(pod)
+	}
+	newest := known
+	for _, waiting := range g.relabels {
+		if waiting.pod.Key == pod.Key && waiting.pod.UID == pod.UID {
+			newest = waiting.pod
+		}
+	}
+	if !newest.SameLabels(pod) {
+		g.relabels = append(g.relabels, relabel{pod, from.cause, from.received})
+	}
+	return g.index.SetPod(pod.WithLabelsOf(known))
+}
+
+// relabelDue applies the changes of labels whose time has come, and returns when the next one is due; zero if none waits.
+func (g *Engine) relabelDue(now time.Time) time.Time {
+	for len(g.relabels) > 0 {
+		next := g.relabels[0]
+		if due := next.received.Add(g.modes.labelLag()); due.After(now) {
+			return due
+		}
+		g.relabels = g.relabels[1:]
+		known := g.index.Pod(next.pod.Key)
+		if known != nil && known.UID == next.pod.UID && g.index.SetPod(known.WithLabelsOf(next.pod)) {
+			g.pending = append(g.pending, change{cause: next.cause, received: next.received})
+		}
+	}
+	return time.Time{}
+}
