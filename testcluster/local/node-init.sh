@@ -50,8 +50,7 @@ keep kube-proxy "$hyperkube" kube-proxy --config="$state/etc/kube-proxy.yaml"
 # The program is a link, which is replaced when the enforcer is built again, so that a running node gets the new build.
 # If the machine has a cgroup for that, the enforcer's share of the processors is separate from this node's.
 keep netpol bash -c '[ -z "$0" ] || echo $$ >"$0/cgroup.procs"; exec "$@"' "$netpol_processors" \
-    "$state/etc/understudy-netpol" --kubeconfig "$netpol_kubeconfig" --node "$node" \
-    --modes "$state/etc/network-modes.json"
+    "$state/etc/understudy-netpol" --kubeconfig "$netpol_kubeconfig" --node "$node"
 
 trap 'exit 0' TERM
 # Orphans become children of this process, which must wait for them, or they would stay as zombies.

@@ -273,6 +273,7 @@ def start_runtime(layout: Layout, node: int) -> None:
 
 
 def _modes_file(layout: Layout, node: int) -> Path:
+    # Beside the enforcer, which looks for it there.
     return layout.node_state(node) / "etc" / "network-modes.json"
 
 
@@ -313,7 +314,7 @@ def set_network_modes(layout: Layout, node: int, modes: NetworkModes) -> None:
     wait_until(
         applied,
         10,
-        f"the enforcer of {node_name(node)} has its modes (a node that an older checkout started has none)",
+        f"the enforcer of {node_name(node)} has its modes (`scripts/cluster up` gives it the present one)",
         interval=0.01,
     )
 

@@ -122,7 +122,7 @@ def test_a_node_lags(world: World, weaken: Callable[..., None]) -> None:
     world.enforce([policy(world, "shut", {"podSelector": {}, "policyTypes": ["Egress"]})])
     time.sleep(0.8 + 2 * LATE)
     here, there = last_sent(world, "active"), last_sent(world, "distant")
-    assert 0.75 < here - asked < 0.8 + LATE
+    assert 0.5 < here - asked < 0.8 + LATE
     assert there - asked < LATE, "the other node lags too"
 
 
@@ -137,7 +137,7 @@ def test_a_change_of_labels_lags(world: World, weaken: Callable[..., None]) -> N
         world.cluster.create(policy(world, "other", {"podSelector": selector(app="camera"), "policyTypes": ["Egress"]}))
         world.expect([], [("camera", "robot", "udp", GATED)])
         time.sleep(max(0.0, asked + 1.5 + LATE - time.time()))
-        assert 1.4 < last_sent(world, "active") - asked < 1.5 + LATE
+        assert 1.0 < last_sent(world, "active") - asked < 1.5 + LATE
     finally:
         world.cluster.patch(pod, {"metadata": {"labels": {"instance": "active"}}})
 

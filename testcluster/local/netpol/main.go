@@ -11,6 +11,7 @@ import (
 	"net/http"
 	"os"
 	"os/signal"
+	"path/filepath"
 	"strconv"
 	"syscall"
 	"time"
@@ -32,7 +33,9 @@ func main() {
 	results := flag.String("cni-results", "/var/lib/cni/results", "`DIRECTORY` where libcni keeps results; empty: pods' addresses come from their status alone")
 	reconcile := flag.Duration("reconcile", 30*time.Second, "how often the kernel's table is compared and repaired")
 	priority := flag.Int("nice", -10, "scheduling priority of this process")
-	modes := flag.String("modes", "", "`FILE` with modes of weak networks as JSON, which is followed; the answer is in FILE.applied")
+	// Beside the program as it was called, and no argument of it: a running node exchanges the program, and goes on calling it as before.
+	beside := filepath.Join(filepath.Dir(os.Args[0]), "network-modes.json")
+	modes := flag.String("modes", beside, "`FILE` with modes of weak networks as JSON, which is followed; the answer is in FILE.applied")
 	cleanup := flag.Bool("cleanup", false, "remove the rules and exit")
 	flag.Parse()
 	slog.SetDefault(slog.New(slog.NewJSONHandler(os.Stderr, nil)))
