@@ -79,13 +79,8 @@ class MonitorLoop:
         self.observe = ObserveStage(cluster.view, senses, notices)
         self.judge = JudgeStage(cluster.view, cluster.pods, cluster.gate, senses, notices)
         self.decide = DecideStage(cluster.view, senses.agents, context, self.judge, self.observe.dependencies, notices)
-        self.act = ActStage(
-            cluster, senses, parts.state_manager, parts.journal, self.decide, self.judge.sole_driver, notices
-        )
-        sole_driver = self.judge.sole_driver
-        self.report = ReportStage(
-            cluster.view, cluster.gate, senses.observer, self.decide, self.act, sole_driver, notices
-        )
+        self.act = ActStage(cluster, senses, parts.state_manager, parts.journal, self.decide, notices)
+        self.report = ReportStage(cluster, senses.observer, self.decide, self.act, notices)
         self._next_slow = 0.0
         self._new_until = -math.inf
         """Until when (monotonic seconds) the agent of an understudy may not be connected yet."""

@@ -21,7 +21,6 @@ from understudy.monitor.act.recovery.recovery_journal import RecoveryJournal
 from understudy.monitor.act.recovery.recovery_runner import RecoveryRunner, RecoveryStart
 from understudy.monitor.act.safe_commands import SafeCommands, Unattended
 from understudy.monitor.decide.stage import DecideStage
-from understudy.monitor.judge.sole_driver import SoleDriver
 from understudy.monitor.judge.stage import Judgement
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.senses import Senses
@@ -38,7 +37,6 @@ class ActStage:
         state_manager: StateManager,
         journal: RecoveryJournal,
         decide: DecideStage,
-        sole_driver: SoleDriver,
         notices: Notices,
     ) -> None:
         self._cluster, self._senses, takeover = cluster, senses, decide.takeover
@@ -55,7 +53,7 @@ class ActStage:
         self.start = RecoveryStart(cluster, self.switchovers, self.garbage, limits.retries, takeover)
         self.opening = GateOpening(cluster.pods, cluster.gate, notices)
         self.strays = StrayPods(cluster.view)
-        self.leaks = LeakResponse(cluster.pods, self.strays, cluster.gate, sole_driver, notices)
+        self.leaks = LeakResponse(cluster.pods, self.strays, cluster.gate, decide.sole_driver, notices)
         self.deferral = DeferredRecovery(cluster, limits, current, journal, notices)
         self.recoveries = RecoveryRunner(cluster.view, options, state_manager, current, self.abandonment, notices)
         self._labels = PodLabels(cluster.pods)

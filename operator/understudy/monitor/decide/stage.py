@@ -75,8 +75,8 @@ class DecideStage:
     ) -> None:
         """``context`` lacks the settings and policy of the workload, which are added at each use."""
         self._view, self._gate, self._notices = view, context.gate, notices
-        self._levels, self._dependencies, self._sole_driver = judge.levels, dependencies, judge.sole_driver
-        self.takeover = judge.takeover
+        self._levels, self._dependencies = judge.levels, dependencies
+        self.takeover, self.sole_driver = judge.takeover, judge.sole_driver
         self.limits = Limits(view, notices)
         self.options = StrategyOptions(view, self.limits.storms, context)
         self._deferred = DeferredFailures(notices)
@@ -135,10 +135,10 @@ class DecideStage:
 
     def _activate(self, policy: FailurePolicySpec, now: float) -> Resolution:
         limits = self.limits.in_force(now)
-        rightful = self._sole_driver.rightful
+        rightful = self.sole_driver.rightful
         candidates = self._activation.candidates(policy, now, paused=limits.pause is not None, rightful=rightful)
         unmet = candidates.unmet
-        if unmet is None and policy.on_leak == "Close" and self._sole_driver.may_be_driven(now):
+        if unmet is None and policy.on_leak == "Close" and self.sole_driver.may_be_driven(now):
             unmet = Requirement("StillDriven")
         occurrence = Occurrence(Trigger.INITIAL_ACTIVATION, unmet=unmet)
         return Resolution(decide(Facts(now, (occurrence,), limits)), candidates=candidates)

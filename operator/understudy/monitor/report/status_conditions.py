@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from understudy.api.kinds.robot_workload import GateStatus, Health
-from understudy.failover.interfaces import Gate
+from understudy.monitor.act.objects.cluster import Cluster
 from understudy.monitor.act.safe_commands import SafeCommands
 from understudy.monitor.decide.initial_activation import Candidates
 from understudy.monitor.decide.strategy_options import StrategyOptions
 from understudy.monitor.judge.sole_driver import SoleDriver
 from understudy.monitor.judge.stage import Judgement
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.robot.health_observer import HealthObserver
 
 
@@ -19,15 +18,14 @@ class StatusConditions:
 
     def __init__(
         self,
-        view: ClusterView,
-        gate: Gate,
+        cluster: Cluster,
         observer: HealthObserver,
         safety: SafeCommands,
         options: StrategyOptions,
         sole_driver: SoleDriver,
         notices: Notices,
     ) -> None:
-        self._view, self._gate, self._observer, self._sole_driver = view, gate, observer, sole_driver
+        self._view, self._gate, self._observer, self._sole_driver = cluster.view, cluster.gate, observer, sole_driver
         self._safety, self._options, self._notices = safety, options, notices
 
     def judged(self, judgement: Judgement) -> None:
