@@ -6,9 +6,13 @@ import contextlib
 import os
 import signal
 import subprocess
-from collections.abc import Iterator
+import threading
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from testcluster.local import layout as layouts
+from testcluster.local import network, processes
+from testcluster.local import node as nodes
 from tests.e2e.kubectl import Failed, Kubectl, Object
 from tests.e2e.scenario import eventually
 
@@ -23,7 +27,55 @@ def cluster(*arguments: str) -> str:
     return done.stdout
 
 
-def _is_ready(node: Object) -> bool:
+def api_server_process() -> int:
+    """The process of the API server of the cluster under test. Raises Failed."""
+    layout = layouts.load(os.environ.get("UNDERSTUDY_CLUSTER_NAME") or layouts.DEFAULT_NAME)
+    pid = processes.find(network.control_plane_group(layout), "kube-apiserver") if layout else None
+    if pid is None:
+        raise Failed("the API server does not run")
+    return pid
+
+
+def pod_logs() -> Iterator[Path]:
+    """The log files of all containers on the nodes that are on, as this machine sees them."""
+    layout = layouts.load(os.environ.get("UNDERSTUDY_CLUSTER_NAME") or layouts.DEFAULT_NAME)
+    for number in layout.nodes if layout else ():
+        if layout and (pid := nodes.init(layout, number)):
+            yield from Path(f"/proc/{pid}/root/var/log/pods").glob("*/*/*.log")
+
+
+@contextlib.contextmanager
+def stopping(pids: Sequence[int], stopped: float = 0.0, running: float = 0.0) -> Iterator[None]:
+    """Stop processes for the duration of the context; if ``stopped`` is given, in cycles of so many seconds."""
+
+    def each(number: signal.Signals) -> None:
+        for pid in pids:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, number)
+
+    def cycles() -> None:
+        while not ended.wait(running):
+            each(signal.SIGSTOP)
+            ended.wait(stopped)
+            each(signal.SIGCONT)
+
+    ended = threading.Event()
+    worker = threading.Thread(target=cycles, daemon=True)
+    if stopped:
+        worker.start()
+    else:
+        each(signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        ended.set()
+        if stopped:
+            worker.join()
+        each(signal.SIGCONT)
+
+
+def is_ready(node: Object) -> bool:
+    """Whether Kubernetes counts a node as ready."""
     return any((c["type"], c["status"]) == ("Ready", "True") for c in node["status"].get("conditions") or [])
 
 
@@ -44,7 +96,7 @@ class ApiServer:
         cluster("api", "start")
 
         def ready() -> bool:
-            return all(_is_ready(node) for node in self._kubectl.list("nodes"))
+            return all(is_ready(node) for node in self._kubectl.list("nodes"))
 
         # A kubelet looks for what it missed less and less often, up to once in a minute, where outages follow each other.
         eventually(ready, within=240, what="every node is ready again")
@@ -89,6 +141,11 @@ def signal_processes(pod_uid: str, words: str, number: signal.Signals) -> int:
                 os.kill(int(entry.name), number)
                 found += 1
     return found
+
+
+def process_ids(pod_uid: str, words: str = "") -> list[int]:
+    """The processes of a pod on this machine whose command line has these words. A pause process belongs to each pod."""
+    return [int(entry.name) for entry, command in _processes(pod_uid) if words in command]
 
 
 def process_states(pod_uid: str, words: str) -> dict[int, str]:
@@ -182,7 +239,7 @@ class Stage:
 
     def is_ready(self, node: str) -> bool:
         """Whether Kubernetes counts a node as ready."""
-        return _is_ready(self._kubectl.get("node", node))
+        return is_ready(self._kubectl.get("node", node))
 
     def restore(self) -> None:
         """Undo the faults, and wait until the nodes are ready."""

@@ -1,0 +1,142 @@
+"""Runs a campaign: starts the robots, makes the faults at their times, waits until all is well again, and judges."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from bench.chaos import plan
+from bench.chaos.apply import Faults
+from bench.chaos.judge import Injected, Judgement, Seen, judge
+from bench.chaos.report import Aftermath, kinds_table, summarize
+from bench.chaos.robots import CampaignRobot, start
+from bench.chaos.witness import UNREACHABLE, Witness, dump
+from bench.recovery import enforcer
+from tests.e2e.conftest import install
+from tests.e2e.faults import cluster, is_ready
+from tests.e2e.kubectl import Kubectl
+from understudy.api import names
+
+SETTLE = 120.0
+"""Seconds from the last fault within which everything must be healthy and protected."""
+
+QUIET = 5.0
+"""Seconds for which it must stay so."""
+
+ENDING = 40.0
+"""Seconds that a pod may take to end beyond its grace period."""
+
+
+def run(kubeconfig: Path, namespace: str, options: argparse.Namespace) -> int:
+    """Run the campaign and return the exit status."""
+    faults = plan.plan(options.seed, options.faults, options.robots, options.every, options.only)
+    install(kubeconfig)
+    kubectl = Kubectl(kubeconfig, namespace)
+    kubectl("create", "namespace", namespace)
+    try:
+        robots = start(kubectl, options.robots, options.timeout)
+        with Witness(kubectl, [robot.workload for robot in robots]) as witness:
+            begun = time.time()
+            before = witness.memory()
+            injected = _make(faults, Faults(kubectl, robots, witness))
+            aftermath = _settle(robots, witness, before)
+            judgements = [_judge(robot, witness, injected, begun) for robot in robots]
+    finally:
+        _whole(kubectl)
+        kubectl("delete", "namespace", namespace, "--wait=false")
+    report = summarize(injected, judgements, aftermath, settled_within=SETTLE)
+    command = f"--faults {options.faults} --seed {options.seed} --robots {options.robots} --every {options.every:g}"
+    only = f" --only {' '.join(options.only)}" if options.only else ""
+    report.note("campaign", f"scripts/bench chaos {command} --timeout {options.timeout:g}{only}")
+    report.note("robots", ", ".join(robot.name for robot in robots))
+    report.note("network policies", enforcer())
+    if options.machine:
+        report.note("what else the machine did", options.machine)
+    print(report.table())
+    print(f"\n{kinds_table(injected, judgements)}\n")
+    print(report.write())
+    return 0 if report.held else 1
+
+
+def _make(planned: Sequence[plan.Fault], faults: Faults) -> list[Injected]:
+    begun = time.monotonic()
+    try:
+        for fault in planned:
+            time.sleep(max(0.0, begun + fault.at - time.monotonic()))
+            faults.begin(fault)
+    finally:
+        injected = faults.wait()
+    return injected
+
+
+def _whole(kubectl: Kubectl) -> None:
+    """Undo what an interrupted campaign has left undone."""
+    cluster("api", "start")
+    for node in kubectl.list("nodes"):
+        if not is_ready(node):
+            cluster("node", "up", node["metadata"]["name"])
+
+
+def _settle(robots: Sequence[CampaignRobot], witness: Witness, before: dict[tuple[str, int], float]) -> Aftermath:
+    """Wait until all is well, and look at what is left."""
+    begun = time.time()
+    since, unwell = math.nan, ["nobody has looked"]
+    while time.time() < begun + SETTLE + QUIET:
+        with suppress(*UNREACHABLE):
+            unwell = witness.unwell()
+            since = math.nan if unwell else (time.time() if math.isnan(since) else since)
+            if time.time() - since > QUIET:
+                break
+        time.sleep(0.5)
+    after = witness.memory()
+    growth = {
+        f"{name} ({pid})": after[name, pid] - size for (name, pid), size in before.items() if (name, pid) in after
+    }
+    counts = Counter(f"{found.last} ({found.source.split('/')[-1]})" for found in witness.tracebacks)
+    return Aftermath((time.time() if unwell else since) - begun, unwell, _leaked(robots, witness), growth, counts)
+
+
+def _leaked(robots: Sequence[CampaignRobot], witness: Witness) -> list[str]:
+    """Return pods that should be gone, and instances that nobody needs."""
+    late = time.time() - ENDING
+    found = [f"{pod.name} has been ending for long" for pod in witness.pods() if 0 < pod.deleted < late]
+    for robot in robots:
+        instances = witness.instances(robot.workload)
+        wanted = 2 if robot.way.strategy in ("executing", "initialized") else 1
+        if len(instances) > wanted:
+            found.append(f"{robot.name} has {len(instances)} instances instead of {wanted}")
+    known = {names.WORKLOAD, names.POOL, names.MONITORED, "app"}
+    found += [f"{pod.name} has no label of ours" for pod in witness.pods() if pod.owner and not known & set(pod.labels)]
+    return found
+
+
+def _judge(robot: CampaignRobot, witness: Witness, injected: Sequence[Injected], begun: float) -> Judgement:
+    journal = robot.journal()
+    seen = Seen(
+        robot.name,
+        robot.index,
+        robot.timeout,
+        robot.way.reflex,
+        commands=[command for command in journal.log.commands if command.received >= begun],
+        commits=witness.commits(robot.workload),
+        recoveries=[one for one in witness.recoveries(robot.workload) if one.moments.get("detected", 0.0) >= begun],
+        steps=journal.steps,
+        finished=journal.finished,
+        goals=_ended(robot.goals()),
+    )
+    folder = Path("/tmp") / "understudy-chaos"
+    folder.mkdir(exist_ok=True)
+    dump(folder / f"{robot.name}.json", commits=seen.commits, recoveries=[vars(one) for one in seen.recoveries],
+         commands=[(c.received, c.sent, c.source) for c in seen.commands])  # fmt: skip
+    return judge(seen, injected)
+
+
+def _ended(goals: dict[str, str]) -> dict[str, str]:
+    """Return the goals without the one that the client still waits for."""
+    last = list(goals)[-1:]
+    return {goal: end for goal, end in goals.items() if end or goal not in last}

@@ -1,0 +1,333 @@
+"""What a campaign meant for its robots, computed from what was recorded. All of it is pure.
+
+The robot's log is the witness: each command with its sender, when it was sent and when it arrived. Commits of the gate say who was in
+control at that time, statuses say which recoveries there were, and the faults say which of them were right.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+from understudy_demo.recovery import Recovered
+from understudy_demo.robotview import Command
+
+from bench.chaos.plan import BY_NAME, Fault
+
+ENFORCEMENT = 0.05
+"""Seconds after a commit in which commands of a fenced instance may still arrive."""
+
+LAG = 0.5
+"""Largest delay of the record of a commit, in seconds: the new instance's commands may arrive that much earlier."""
+
+TOGETHER = 1.0
+"""Two instances drive together if their commands take turns with pauses shorter than this, in seconds."""
+
+SHARE = 0.8
+"""The part of the allowed gap that a robot must have been silent for before a failover, so that the failover was right."""
+
+REPAIR = 1.5
+"""Seconds within which the product undoes what somebody did to labels and gates; until then nobody can keep an instance from driving."""
+
+TAMPERED = {"gate-delete", "gate-edit", "label-remove", "label-exchange"}
+"""The kinds of faults that do such a thing."""
+
+STATE_AGE = 4.0
+"""Seconds of work that a failover may lose: kept state is from before the failure, by the gap and the margin, and a quarter older."""
+
+BOUNDS = {"reflex": 0.6, "Executing": 0.6, "Initialized": 6.0, "Uninitialized": 15.0, "Restart": 25.0, "": 0.6}
+"""Seconds without a command, beyond the timeout, that a recovery by a strategy may take; empty if there was no recovery."""
+
+
+@dataclass(frozen=True)
+class Injected:
+    """A fault that was made, with times in Unix seconds."""
+
+    fault: Fault
+    begun: float
+    ended: float
+    told: str = ""
+    """What it was made on."""
+    refused: str = ""
+    """Why it could not be made; empty if it was."""
+
+    def overlaps(self, begin: float, end: float) -> bool:
+        """Return whether its effects may have been felt between two moments."""
+        return self.begun <= end and begin <= self.ended + BY_NAME[self.fault.kind].after
+
+
+@dataclass(frozen=True)
+class Commit:
+    """Who was let through from a moment on."""
+
+    seen: float
+    """When it was seen, at most a little after it was made."""
+    epoch: int
+    let_through: tuple[str, ...]
+    since: float = math.nan
+    """The earliest moment at which it may have been made, if the gate was not watched then."""
+
+    @property
+    def earliest(self) -> float:
+        return self.seen - LAG if math.isnan(self.since) else self.since
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What was recorded of one robot."""
+
+    name: str
+    index: int
+    timeout: float
+    """Seconds without commands that its policy treats as a failure."""
+    reflex: bool = False
+    commands: Sequence[Command] = ()
+    commits: Sequence[Commit] = ()
+    recoveries: Sequence[Recovered] = ()
+    steps: Mapping[int, int] = field(default_factory=dict)
+    """The application's step, by the sequence number of the command; empty if it does not count steps."""
+    finished: Sequence[tuple[str, str]] = ()
+    """Goals that the robot saw finished, each with the instance, once for each time."""
+    goals: Mapping[str, str] = field(default_factory=dict)
+    """The result of each accepted goal at its client; empty if the client still waits."""
+
+
+@dataclass(frozen=True)
+class Violation:
+    """Something that must not happen."""
+
+    what: str
+    robot: str
+    at: float
+    text: str
+    faults: tuple[int, ...] = ()
+    """The numbers of the faults whose effects may have been felt then."""
+
+
+@dataclass
+class Judgement:
+    """All that was found of one robot."""
+
+    name: str
+    violations: list[Violation] = field(default_factory=list)
+    double_drives: list[float] = field(default_factory=list)
+    """Lengths in seconds."""
+    fenced: list[float] = field(default_factory=list)
+    """Seconds after the switch at which each command of a fenced instance arrived, beyond the enforcement."""
+    strangers: int = 0
+    """Commands of instances that had never been in control."""
+    stale: list[float] = field(default_factory=list)
+    """Seconds before the switch at which commands were sent that arrived after it, beyond a period."""
+    gaps: dict[str, list[float]] = field(default_factory=dict)
+    """Seconds without commands by strategy, without what faults explain."""
+    lost_steps: list[int] = field(default_factory=list)
+    recoveries: Counter[str] = field(default_factory=Counter)
+    repaired: list[float] = field(default_factory=list)
+    """Seconds from tampering to the last command that it let through, if that was soon enough."""
+    unexplained: int = 0
+    """Failovers after a silence for which there was no fault: the machine was too busy."""
+
+
+def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Judgement:
+    """Judge one robot."""
+    found = Judgement(seen.name)
+    theirs = [one for one in injected if not one.refused and affects(one, seen.index)]
+
+    def violation(what: str, at: float, text: str, since: float | None = None) -> None:
+        near = tuple(one.fault.number for one in theirs if one.overlaps((at if since is None else since) - 2.0, at))
+        found.violations.append(Violation(what, seen.name, at, text, near))
+
+    tampered = [one.begun for one in theirs if one.fault.kind in TAMPERED]
+
+    def undone(begin: float, end: float) -> bool:
+        moments = [moment for moment in tampered if moment <= begin + LAG and end <= moment + REPAIR]
+        found.repaired += [max(0.0, end - max(moments))] if moments else []
+        return bool(moments)
+
+    for begin, end, pods in double_drives(seen.commands, seen.commits if seen.reflex else ()):
+        if undone(begin, end):
+            continue
+        found.double_drives.append(end - begin)
+        violation("double drive", end, f"{' and '.join(pods)} drove together for {end - begin:.3f} s", begin)
+    for group in _runs(uncontrolled(seen.commands, seen.commits)):
+        first, after = group[0]
+        if undone(first.received, group[-1][0].received):
+            continue
+        if math.isinf(after):
+            found.strangers += len(group)
+            violation(
+                "not in control", first.received, f"{len(group)} commands of {first.source}, never in control yet"
+            )
+        else:
+            found.fenced += [late for _, late in group]
+            last = max(late for _, late in group)
+            text = f"{len(group)} commands of {first.source}, up to {last:.3f} s after it was fenced"
+            violation("fenced instance", first.received, text)
+    for pod, switch, ages in stale(seen.commands, seen.commits, period):
+        found.stale += ages
+        text = f"{len(ages)} commands of {pod}, up to {max(ages):.3f} s older than its switch, arrived after it"
+        violation("stale command", switch, text)
+    for begin, length, strategy, allowed in gaps(seen, theirs):
+        found.gaps.setdefault(strategy or "no recovery", []).append(length)
+        if length > allowed:
+            text = f"{length:.2f} s without a command ({strategy or 'no recovery'}; {allowed:.2f} s are allowed)"
+            violation("gap", begin + length, text, begin)
+    for at, steps, pods in lost_steps(seen):
+        found.lost_steps.append(steps)
+        if steps > STATE_AGE / period:
+            violation("state lost", at, f"{steps} steps, from {pods[0]} to {pods[1]}")
+    for recovery in seen.recoveries:
+        found.recoveries[recovery.strategy or recovery.result] += 1
+        match rightness(recovery, seen, theirs):
+            case "false":
+                at = recovery.moments.get("detected", 0.0)
+                violation("false failover", at, f"{recovery.old} -> {recovery.new}: {recovery.reason}")
+            case "busy":
+                found.unexplained += 1
+    for goal, end in seen.goals.items():
+        if end != "succeeded":
+            violation("goal lost", 0.0, f"goal {goal[:8]}: {end or 'no result'}")
+    for (goal, pod), count in Counter(seen.finished).items():
+        if count > 1:
+            violation("goal doubled", 0.0, f"goal {goal[:8]} was finished {count} times by {pod}")
+    for goal, count in Counter(goal for goal, _ in set(seen.finished)).items():
+        if count > 1:
+            violation("goal doubled", 0.0, f"goal {goal[:8]} was finished by {count} instances")
+    return found
+
+
+def affects(injected: Injected, robot: int) -> bool:
+    """Return whether a fault may have affected a robot."""
+    return bool(BY_NAME[injected.fault.kind].shared) or injected.fault.robot == robot
+
+
+def double_drives(
+    commands: Sequence[Command], together: Sequence[Commit] = ()
+) -> Iterator[tuple[float, float, tuple[str, str]]]:
+    """Yield from when to when commands of two instances took turns at the robot, and which two.
+
+    One change of the sender is a handover. ``together`` are the commits of a robot with a reflex: its reader itself may go back to the
+    instance before while both are let through.
+    """
+    changes = [
+        (a.received, b.received, (a.source, b.source))
+        for a, b in pairwise(commands)
+        if a.source != b.source and not {a.source, b.source} <= set(_let_through(together, b.received))
+    ]
+    run: list[tuple[float, float, tuple[str, str]]] = []
+    for change in [*changes, (math.inf, math.inf, ("", ""))]:
+        if run and (change[0] - run[-1][1] > TOGETHER or set(change[2]) != set(run[-1][2])):
+            if len(run) > 1:
+                yield run[0][0], run[-1][1], run[0][2]
+            run = []
+        run.append(change)
+
+
+def _let_through(commits: Sequence[Commit], at: float) -> tuple[str, ...]:
+    return next((commit.let_through for commit in reversed(commits) if commit.seen <= at), ())
+
+
+def uncontrolled(commands: Sequence[Command], commits: Sequence[Commit]) -> Iterator[tuple[Command, float]]:
+    """Yield commands of instances that no commit let through at that time, with the seconds since they were fenced; infinity if they
+    were not in control before."""
+    for command in commands:
+        known = [commit for commit in commits if commit.earliest <= command.received]
+        ends = [*(later.seen + ENFORCEMENT for later in known[1:]), math.inf]
+        in_force = [commit for commit, end in zip(known, ends, strict=False) if command.received <= end]
+        if not known or any(command.source in commit.let_through for commit in in_force):
+            continue
+        fenced = [
+            later.seen
+            for commit, later in pairwise(known)
+            if command.source in commit.let_through and command.source not in later.let_through
+        ]
+        yield command, command.received - fenced[-1] if fenced else math.inf
+
+
+def _runs(found: Iterable[tuple[Command, float]]) -> Iterator[list[tuple[Command, float]]]:
+    """Yield what belongs together: of one instance, with pauses of less than two seconds."""
+    run: list[tuple[Command, float]] = []
+    for command, after in found:
+        if run and (command.source != run[-1][0].source or command.received - run[-1][0].received > 2.0):
+            yield run
+            run = []
+        run.append((command, after))
+    if run:
+        yield run
+
+
+def stale(
+    commands: Sequence[Command], commits: Sequence[Commit], period: float
+) -> Iterator[tuple[str, float, list[float]]]:
+    """Yield for each switch the instance, the moment, and how much older than the switch its commands were that arrived after it.
+
+    The switch is when the commit was seen, or the robot's first command from the new instance if that was earlier.
+    """
+    for before, after in pairwise(commits):
+        for pod in set(after.let_through) - set(before.let_through):
+            arrived = [c for c in commands if c.source == pod and c.received >= after.earliest]
+            if not arrived:
+                continue
+            switch = min(after.seen, arrived[0].received)
+            if ages := [switch - c.sent for c in arrived if switch - c.sent > period]:
+                yield pod, switch, ages
+
+
+def gaps(seen: Seen, injected: Sequence[Injected]) -> Iterator[tuple[float, float, str, float]]:
+    """Yield each silence that is longer than the timeout: its begin, its length without the time that faults explain, the strategy that
+    ended it (empty for none), and the length that this strategy may take."""
+    for a, b in pairwise(seen.commands):
+        if b.received - a.received <= seen.timeout:
+            continue
+        strategy = _strategy(seen, a.received, b.received)
+        waits = [(i.begun, i.ended + BY_NAME[i.fault.kind].after) for i in injected if BY_NAME[i.fault.kind].delays]
+        explained = covered(waits, a.received, b.received)
+        yield a.received, b.received - a.received - explained, strategy, seen.timeout + _bound(strategy)
+
+
+def _strategy(seen: Seen, begin: float, end: float) -> str:
+    """Return the slowest strategy of the recoveries that took place in a silence."""
+    names = [
+        recovery.strategy
+        for recovery in seen.recoveries
+        if recovery.moments.get("detected", math.inf) <= end
+        and recovery.moments.get("routed", recovery.moments.get("verified", end)) >= begin
+    ]
+    return max(names, key=_bound, default="")
+
+
+def _bound(strategy: str) -> float:
+    return max((bound for name, bound in BOUNDS.items() if name and name in strategy), default=BOUNDS[""])
+
+
+def covered(windows: Iterable[tuple[float, float]], begin: float, end: float) -> float:
+    """Return how much of the time between two moments the windows cover."""
+    total, reached = 0.0, begin
+    for first, last in sorted(windows):
+        first, last = max(first, reached), min(last, end)
+        if last > first:
+            total, reached = total + last - first, last
+    return total
+
+
+def lost_steps(seen: Seen) -> Iterator[tuple[float, int, tuple[str, str]]]:
+    """Yield when the application's steps went back, by how many, and from which instance to which."""
+    counted = [c for c in seen.commands if c.sequence in seen.steps]
+    for a, b in pairwise(counted):
+        if (back := seen.steps[a.sequence] - seen.steps[b.sequence]) > 0:
+            yield b.received, back, (a.source, b.source)
+
+
+def rightness(recovery: Recovered, seen: Seen, injected: Sequence[Injected]) -> str:
+    """Return whether a failover was ``right``, ``false``, or, after a silence for which there was no fault, ``busy``."""
+    detected = recovery.moments.get("detected")
+    if detected is None:
+        return "right"
+    if any(BY_NAME[i.fault.kind].disturbs and i.overlaps(detected - 2 * seen.timeout, detected) for i in injected):
+        return "right"
+    before = [c.received for c in seen.commands if detected - 3 * seen.timeout <= c.received <= detected] + [detected]
+    silent = max((b - a for a, b in pairwise(before)), default=math.inf)
+    return "busy" if silent >= SHARE * seen.timeout else "false"

@@ -1,0 +1,201 @@
+"""The robots of a campaign: one for each way to recover, in one namespace."""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from understudy_demo.robotview import RobotLog
+
+from tests.e2e.faults import staying
+from tests.e2e.kubectl import Kubectl, Object
+from tests.e2e.scenario import APPLICATION, Robot, manifest
+from understudy.api import names
+
+HOUSE = "node1"
+"""The node of the robots and clients. It is never lost."""
+
+REFLEX_DEADLINE = 0.3
+"""Seconds of silence after which a reader of a robot with a reflex takes the standby's commands."""
+
+GOAL = 24
+"""Steps of each goal of the worker's client."""
+
+_PROGRAM = "/nodes/worker.py"
+_FILE = Path(__file__).with_name("worker.py")
+_IMAGE = "localhost/understudy-monitor:dev"
+_HARDENED = {"allowPrivilegeEscalation": False, "capabilities": {"drop": ["ALL"]}}
+
+
+@dataclass(frozen=True)
+class Way:
+    """A way to recover, and the application that is recovered by it."""
+
+    name: str
+    strategy: str
+    """The quickstart's manifest with policy and pool."""
+    workload: str = "robotworkload.yaml"
+    reflex: bool = False
+    worker: bool = False
+    """Whether the application is the one that counts steps and serves goals, instead of the quickstart's."""
+
+
+WAYS = (
+    Way("executing", "executing"),
+    Way("reflex", "executing", reflex=True),
+    Way("restart", "restart"),
+    Way("uninitialized", "uninitialized"),
+    Way("initialized", "initialized", "managed/robotworkload.yaml"),
+    Way("worker", "uninitialized", worker=True),
+)
+"""More robots than these begin with the first one again. All examples have applications in Python: there is no image with one in C++."""
+
+
+@dataclass(frozen=True)
+class Journal:
+    """What a robot wrote down."""
+
+    log: RobotLog
+    steps: dict[int, int]
+    """The application's step, by the sequence number of the command."""
+    finished: list[tuple[str, str]]
+    """Goals that were finished, each with the pod."""
+
+
+class CampaignRobot(Robot):
+    """A robot of the campaign."""
+
+    def __init__(self, kubectl: Kubectl, index: int, timeout: float) -> None:
+        self.index, self.way, self.timeout = index, WAYS[index % len(WAYS)], timeout
+        super().__init__(kubectl, f"{self.way.name}-{index + 1}")
+
+    @property
+    def application(self) -> str:
+        """Words of the command line of its application."""
+        return _PROGRAM if self.way.worker else APPLICATION
+
+    def all_objects(self) -> list[Object]:
+        """Return the robot, its workload, policy and pool, and its client, all under names of its own."""
+        policy = f"quickstart-{self.way.strategy}"
+        mine = f"{self.name}-policy"
+        text = json.dumps(manifest(f"strategies/{self.way.strategy}.yaml"))
+        found: list[Object] = json.loads(text.replace(policy, mine).replace("robot-1-drive", self.workload))
+        labels = {"app": self.workload}
+        for item in found:
+            if item["kind"] == "FallbackPool":
+                item["spec"]["workloadSelector"] = {"matchLabels": labels}
+            else:
+                self._policy(item["spec"])
+        made = self.objects(policy=mine, labels=labels, edit=self._workload, workload=self.way.workload)
+        for item in staying(made):
+            if item["kind"] == "Deployment":
+                item["spec"]["template"]["spec"]["nodeSelector"] = {"kubernetes.io/hostname": HOUSE}
+        return [*found, *made, *self._client()]
+
+    def _policy(self, spec: Object) -> None:
+        for leaf in spec["monitoring"]["yaml"]["parallel"]:
+            commands = leaf["topic"]["name"] == "/cmd_vel"
+            leaf["topic"]["gap"] = f"{1000 * (self.timeout if commands else 2 * self.timeout + 1):.0f}ms"
+        if self.way.worker:
+            kept = {
+                "topic": "/progress",
+                "type": "std_msgs/msg/Int64",
+                "restoreTo": "/restore_progress",
+                "maxAge": "10m",
+            }
+            spec["state"] = {"keep": [kept]}
+
+    def _workload(self, item: Object) -> None:
+        spec = item["spec"]
+        pod = spec["template"]["spec"]
+        if self.way.reflex:
+            spec["gate"] = {"reflex": {"deadline": f"{1000 * REFLEX_DEADLINE:.0f}ms"}}
+        if self.way.worker:
+            application = _container("drive", "drive")
+            pod["containers"] = [pod["containers"][0] | application]
+            pod["volumes"] = [_volume()]
+            spec["tasks"] = [{"action": "/goto", "type": "test_msgs/action/Fibonacci"}]
+        away = {"key": "kubernetes.io/hostname", "operator": "NotIn", "values": [HOUSE]}
+        terms = {"nodeSelectorTerms": [{"matchExpressions": [away]}]}
+        pod["affinity"] = {"nodeAffinity": {"requiredDuringSchedulingIgnoredDuringExecution": terms}}
+
+    def _client(self) -> list[Object]:
+        if not self.way.worker:
+            return []
+        container = _container("client", "client", str(GOAL))
+        container["envFrom"] = [{"configMapRef": {"name": names.robot_env(self.workload)}}]
+        container["volumeMounts"].append({"name": "profiles", "mountPath": "/etc/understudy"})
+        profiles = {"name": "profiles", "configMap": {"name": names.robot_profiles(self.workload)}}
+        spec = {
+            "restartPolicy": "Never",
+            "terminationGracePeriodSeconds": 0,
+            "nodeSelector": {"kubernetes.io/hostname": HOUSE},
+            "tolerations": [{"operator": "Exists"}],
+            "containers": [container],
+            "volumes": [_volume(), profiles],
+        }
+        return [{"apiVersion": "v1", "kind": "Pod", "metadata": {"name": self.client_pod}, "spec": spec}]
+
+    def log(self, tail: int = 0) -> RobotLog:
+        """What the robot wrote down, its commands by pod."""
+        found = super().log(tail)
+        return found.renamed({source: source.split()[0] for source in found.sources() if source})
+
+    def journal(self) -> Journal:
+        """Return all that the robot wrote down, also what the worker says in its commands."""
+        said = super().log()
+        words = {command.sequence: command.source.split() for command in said.commands}
+        steps = {number: int(found[1]) for number, found in words.items() if len(found) > 1}
+        finished = [(found[2], found[0]) for found in words.values() if len(found) > 2]
+        log = said.renamed({source: source.split()[0] for source in said.sources() if source})
+        return Journal(log, steps, finished)
+
+    def goals(self) -> dict[str, str]:
+        """Return the result of each accepted goal at the client; empty if the client still waits."""
+        if not self.way.worker:
+            return {}
+        found: dict[str, str] = {}
+        for line in self.kubectl("logs", self.client_pod).splitlines():
+            if line.startswith("{"):
+                record = json.loads(line)
+                if record["event"] == "ended":
+                    found[record["goal"]] = record["status"]
+                elif record["accepted"]:
+                    found[record["goal"]] = ""
+        return found
+
+    @property
+    def client_pod(self) -> str:
+        """The pod that sends goals to it."""
+        return f"{self.name}-client"
+
+
+def _container(name: str, *arguments: str) -> Object:
+    return {
+        "name": name,
+        "image": _IMAGE,
+        "imagePullPolicy": "IfNotPresent",
+        "command": ["python3", _PROGRAM, *arguments],
+        "env": [{"name": "HOME", "value": "/tmp"}],
+        "securityContext": copy.deepcopy(_HARDENED),
+        "volumeMounts": [{"name": "nodes", "mountPath": "/nodes"}],
+    }
+
+
+def _volume() -> Object:
+    return {"name": "nodes", "configMap": {"name": "nodes"}}
+
+
+def start(kubectl: Kubectl, count: int, timeout: float) -> Sequence[CampaignRobot]:
+    """Create so many robots, and wait until all are protected."""
+    program = {"apiVersion": "v1", "kind": "ConfigMap", "metadata": {"name": "nodes"}}
+    kubectl.apply([program | {"data": {"worker.py": _FILE.read_text()}}])
+    robots = [CampaignRobot(kubectl, index, timeout) for index in range(count)]
+    for robot in robots:
+        kubectl.apply(robot.all_objects())
+    for robot in robots:
+        robot.wait_protected(240)
+    return robots

@@ -1,0 +1,251 @@
+"""Records a campaign while it goes on: instances, gates, recoveries, logs and memory."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from understudy_demo.recovery import Recovered, unix
+from urllib3.exceptions import HTTPError
+
+from bench.chaos.judge import Commit
+from tests.e2e.conftest import SYSTEM
+from tests.e2e.faults import pod_logs, process_ids
+from tests.e2e.kubectl import Failed, Kubectl, Object
+from tests.support.cluster import Cluster, Refused
+from understudy.api import names
+
+PERIOD = 1.0
+"""Seconds between two readings of pods and workloads."""
+
+LOGS_PERIOD = 2.0
+
+FOLLOWING = 40
+"""Lines of a traceback that are kept."""
+
+UNREACHABLE = (Failed, Refused, HTTPError, OSError, ValueError)
+
+
+@dataclass(frozen=True)
+class PodSeen:
+    """A pod as it was last seen."""
+
+    name: str
+    uid: str
+    node: str
+    labels: Mapping[str, str]
+    ready: bool
+    owner: str
+    deleted: float
+    """Unix seconds at which its grace period ends or ended; 0 if it is not being deleted."""
+
+
+@dataclass(frozen=True)
+class Traceback:
+    """Something that a log reported and nobody expected."""
+
+    source: str
+    """The log's file."""
+    at: float
+    text: str
+
+    @property
+    def last(self) -> str:
+        """The line that says what was raised."""
+        return next((line for line in reversed(self.text.splitlines()) if re.match(r"\S*(Error|Exception|Handle)", line)),
+                    self.text.splitlines()[0])  # fmt: skip
+
+
+class Witness:
+    """Watches a campaign's namespace from threads of its own, for the duration of the context."""
+
+    def __init__(self, kubectl: Kubectl, workloads: Sequence[str]) -> None:
+        self._kubectl, self._workloads = kubectl, workloads
+        self._pods: dict[str, PodSeen] = {}
+        self._operators: list[PodSeen] = []
+        self._status: dict[str, Object] = {}
+        self._recoveries: dict[tuple[str, int], Object] = {}
+        self._commits: dict[str, list[Commit]] = {names.gate(workload): [] for workload in workloads}
+        self._read: dict[Path, int] = {}
+        self.tracebacks: list[Traceback] = []
+        self._ended = threading.Event()
+
+    def __enter__(self) -> Witness:
+        self._look()
+        for work in (self._follow_gates, self._poll, self._follow_logs):
+            threading.Thread(target=work, daemon=True).start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+
+    # -- what it knows ---------------------------------------------------------------------------------------------
+
+    def active(self, workload: str) -> str:
+        """Return the active instance, by the gate."""
+        commits = self._commits[names.gate(workload)]
+        return commits[-1].let_through[0] if commits and commits[-1].let_through else ""
+
+    def instances(self, workload: str) -> list[PodSeen]:
+        """Return the instances of a workload that run and are not being deleted."""
+        return [pod for pod in self._living() if pod.labels.get(names.WORKLOAD) == workload]
+
+    def parts(self, workload: str, component: str) -> list[PodSeen]:
+        """Return its monitor or its discovery server."""
+        found = [pod for pod in self._living() if pod.labels.get(names.MONITORED) == workload]
+        return [pod for pod in found if pod.labels.get(names.COMPONENT) == component]
+
+    def operators(self) -> list[PodSeen]:
+        return list(self._operators)
+
+    def pods(self) -> list[PodSeen]:
+        """Return all pods of the namespace."""
+        return list(self._pods.values())
+
+    def _living(self) -> list[PodSeen]:
+        return [pod for pod in self._pods.values() if not pod.deleted and pod.node]
+
+    def status(self, workload: str) -> Object:
+        return self._status.get(workload, {})
+
+    def commits(self, workload: str) -> list[Commit]:
+        return list(self._commits[names.gate(workload)])
+
+    def recoveries(self, workload: str) -> list[Recovered]:
+        """Return all recoveries, also those that the status no longer has."""
+        found = sorted(key for key in self._recoveries if key[0] == workload)
+        return [Recovered.read(self._recoveries[key]) for key in found]
+
+    def unwell(self) -> list[str]:
+        """Return which workloads are not healthy and protected, and why."""
+        self._look()
+        found = []
+        for workload in self._workloads:
+            status = self.status(workload)
+            false = [
+                f"{c['type']}={c['status']} {c.get('reason', '')}"
+                for c in status.get("conditions") or []
+                if (c["type"], c["status"])
+                in (("Protected", "False"), ("SoleDriver", "False"), ("GateEnforced", "False"))
+            ]
+            if status.get("health") != "Healthy" or false:
+                found.append(f"{workload}: {status.get('health')} {', '.join(false)}")
+        return found
+
+    def memory(self) -> dict[tuple[str, int], float]:
+        """Return the resident memory of our processes in MB, by pod and process."""
+        found = {}
+        ours = [pod for pod in self._living() if pod.labels.get(names.COMPONENT) == "monitor"]
+        agents = [pod for pod in self._living() if names.WORKLOAD in pod.labels]
+        for pod, words in [*((p, "") for p in [*ours, *self._operators]), *((p, "agent") for p in agents)]:
+            for pid in process_ids(pod.uid, words):
+                with contextlib.suppress(OSError, IndexError, ValueError):
+                    text = Path(f"/proc/{pid}/status").read_text()
+                    if (size := int(text.split("VmRSS:")[1].split()[0]) / 1024) > 15:
+                        found[f"{words or pod.name.rsplit('-', 2)[0]}", pid] = size
+        return found
+
+    # -- how it knows ----------------------------------------------------------------------------------------------
+
+    def _poll(self) -> None:
+        while not self._ended.wait(PERIOD):
+            with contextlib.suppress(*UNREACHABLE):
+                self._look()
+
+    def _look(self) -> None:
+        for item in self._kubectl.list("robotworkloads"):
+            name, status = item["metadata"]["name"], item.get("status") or {}
+            self._status[name] = status
+            for entry in status.get("recoveries") or []:
+                self._recoveries[name, int(entry["number"])] = entry
+        self._pods = {pod["metadata"]["name"]: _pod(pod) for pod in self._kubectl.list("pods")}
+        system = self._kubectl.in_namespace(SYSTEM).list("pods", "app.kubernetes.io/name=understudy")
+        self._operators = [_pod(pod) for pod in system]
+
+    def _follow_gates(self) -> None:
+        cluster, lost = Cluster(self._kubectl.kubeconfig), 0.0
+        while not self._ended.is_set():
+            known: set[str] = set()
+            with contextlib.suppress(*UNREACHABLE):
+                for type_, item in cluster.watch("networking.k8s.io/v1", "NetworkPolicy", self._kubectl.namespace):
+                    name = item["metadata"]["name"]
+                    if name in self._commits and type_ != "DELETED":
+                        # What is there when the watch begins may be as old as the end of the watch before.
+                        self._note(name, _commit(item, time.time(), 0.0 if name in known else lost))
+                    known.add(name)
+            if known:
+                lost = time.time()
+            self._ended.wait(0.2)
+
+    def _note(self, gate: str, commit: Commit) -> None:
+        commits = self._commits[gate]
+        if not commits or (commit.epoch, commit.let_through) != (commits[-1].epoch, commits[-1].let_through):
+            commits.append(commit)
+
+    def _follow_logs(self) -> None:
+        self._logs(keep=False)
+        while not self._ended.wait(LOGS_PERIOD):
+            with contextlib.suppress(OSError):
+                self._logs(keep=True)
+
+    def _logs(self, *, keep: bool) -> None:
+        """Read what the logs have got since the last time. What other namespaces say is not ours."""
+        for file in pod_logs():
+            pod = file.parent.parent.name
+            if not pod.startswith((f"{self._kubectl.namespace}_", f"{SYSTEM}_")):
+                continue
+            with contextlib.suppress(OSError), file.open(errors="replace") as opened:
+                begin = self._read.get(file, 0 if keep else file.stat().st_size)
+                if file.stat().st_size < begin:
+                    begin = 0  # it was rotated
+                opened.seek(begin)
+                text = opened.read()
+                self._read[file] = opened.tell()
+                self.tracebacks += tracebacks(text, f"{pod}/{file.parent.name}", time.time())
+
+
+def tracebacks(text: str, source: str, at: float) -> Iterator[Traceback]:
+    """Yield the tracebacks in a container's log, whose lines begin with a time, a stream and a flag."""
+    lines = [line.split(" ", 3)[-1] for line in text.splitlines()]
+    for number, line in enumerate(lines):
+        if "Traceback (most recent call last)" in line:
+            found = [line]
+            for following in lines[number + 1 : number + FOLLOWING]:
+                found.append(following)
+                if following and not following.startswith((" ", "\t")):
+                    break
+            yield Traceback(source, at, "\n".join(found))
+
+
+def _pod(item: Object) -> PodSeen:
+    metadata, status = item["metadata"], item.get("status") or {}
+    owners: Any = metadata.get("ownerReferences") or [{}]
+    return PodSeen(
+        metadata["name"],
+        metadata["uid"],
+        item["spec"].get("nodeName", ""),
+        metadata.get("labels") or {},
+        any((c["type"], c["status"]) == ("Ready", "True") for c in status.get("conditions") or []),
+        owners[0].get("name", ""),
+        unix(metadata["deletionTimestamp"]) if metadata.get("deletionTimestamp") else 0.0,
+    )
+
+
+def _commit(item: Object, seen: float, lost: float) -> Commit:
+    """Read the gate's record, which says who is let through whatever somebody made of its selector."""
+    record = item["metadata"].get("annotations") or {}
+    among = tuple(name for key in (names.ACTIVE, names.ADMITTED) if (name := record.get(key)))
+    epoch = int(record.get(names.EPOCH) or 0)
+    return Commit(seen, epoch, among, lost) if lost else Commit(seen, epoch, among)
+
+
+def dump(file: Path, **parts: Any) -> None:
+    """Write what was recorded, to look at later."""
+    file.write_text(json.dumps(parts, indent=1, default=str) + "\n")

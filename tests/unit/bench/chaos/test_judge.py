@@ -1,0 +1,180 @@
+"""The judge of a campaign, on logs whose faults are known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import pytest
+from understudy_demo.recovery import Recovered
+from understudy_demo.robotview import Command
+
+from bench.chaos.judge import Commit, Injected, Judgement, Seen, covered, judge
+from bench.chaos.plan import BY_NAME, Fault
+
+PERIOD = 0.05
+TIMEOUT = 0.5
+
+
+def drive(source: str, begin: float, end: float, *, age: float = 0.002) -> list[Command]:
+    """Commands of a pod at every period, which were sent so many seconds before."""
+    moments = [begin + PERIOD * n for n in range(round((end - begin) / PERIOD) + 1)]
+    return [Command(at, source, 0, at - age, 0.2, 0.0, 0.0, 0.0, 0.0, 0.2) for at in moments]
+
+
+def log(*parts: list[Command]) -> list[Command]:
+    """All of it in the order of reception, with sequence numbers."""
+    ordered = sorted((command for part in parts for command in part), key=lambda c: c.received)
+    return [Command(c.received, c.source, n, c.sent, *[0.0] * 6) for n, c in enumerate(ordered, 1)]
+
+
+def fault(kind: str, begun: float, ended: float | None = None, *, robot: int = 0, number: int = 1) -> Injected:
+    made = Fault(number, kind, begun, (ended or begun) - begun, robot, "active", 0, 0.5)
+    return Injected(made, begun, begun if ended is None else ended)
+
+
+def recovery(detected: float, routed: float, strategy: str = "Fallback/Executing", reason: str = "") -> Recovered:
+    moments = {"detected": detected, "fenced": routed, "routed": routed}
+    return Recovered(1, reason, "Recovered", strategy, "a", "b", 2, routed - detected, {}, moments)
+
+
+def judged(commands: Sequence[Command], *injected: Injected, **more: Any) -> Judgement:
+    commits = more.pop("commits", [Commit(0.0, 1, ("a",)), Commit(10.6, 2, ("b",))])
+    seen = Seen("robot-1", 0, TIMEOUT, commands=commands, commits=commits, **more)
+    return judge(seen, injected, PERIOD)
+
+
+def whats(found: Judgement) -> list[str]:
+    return [violation.what for violation in found.violations]
+
+
+KILLED = fault("kill", 10.02)
+
+
+def test_a_clean_handover_of_a_killed_instance_has_no_violation() -> None:
+    found = judged(log(drive("a", 1, 10), drive("b", 10.61, 20)), KILLED, recoveries=[recovery(10.5, 10.6)])
+    assert whats(found) == []
+    assert found.gaps == {"Fallback/Executing": [pytest.approx(0.61)]}
+    assert found.recoveries == {"Fallback/Executing": 1}
+
+
+def test_two_instances_that_take_turns_drive_together_and_one_of_them_is_fenced() -> None:
+    found = judged(log(drive("a", 1, 12), drive("b", 10.62, 20)), KILLED, recoveries=[recovery(10.5, 10.6)])
+    assert found.double_drives == [pytest.approx(1.4, abs=0.1)]
+    assert max(found.fenced) == pytest.approx(1.4)
+    assert whats(found) == ["double drive", "fenced instance"]
+    assert {violation.faults for violation in found.violations} == {(1,)}
+
+
+def test_an_instance_that_returns_later_is_fenced_but_does_not_drive_together_with_the_other() -> None:
+    found = judged(log(drive("a", 1, 10), drive("b", 10.62, 14), drive("a", 17, 17)), KILLED)
+    assert found.double_drives == []
+    assert found.fenced == [pytest.approx(6.4)]
+
+
+def test_the_reader_of_a_robot_with_a_reflex_may_go_back_until_the_commit() -> None:
+    commands = log(drive("a", 1, 10), drive("b", 10.2, 10.4), drive("a", 10.41, 10.56), drive("b", 10.59, 20))
+    commits = [Commit(0.0, 1, ("a", "b")), Commit(10.6, 2, ("b",))]
+    assert whats(judged(commands, KILLED, commits=commits, reflex=True)) == []
+    assert "double drive" in whats(judged(commands, KILLED, commits=commits))
+
+
+def test_an_instance_that_was_never_let_through_is_a_stranger() -> None:
+    found = judged(log(drive("a", 1, 10), drive("c", 5, 5.1), drive("b", 10.62, 20)), KILLED)
+    assert found.strangers == 3
+    assert whats(found) == ["double drive", "not in control"]
+
+
+def test_what_tampering_lets_through_until_it_is_repaired_is_counted_apart() -> None:
+    parts = drive("a", 1, 10), drive("c", 5, 5.6), drive("b", 10.62, 20)
+    found = judged(log(*parts), KILLED, fault("label-remove", 4.8))
+    assert whats(found) == []
+    assert max(found.repaired) == pytest.approx(0.8)
+    found = judged(log(*parts), KILLED, fault("label-remove", 3.0))
+    assert whats(found) == ["double drive", "not in control"], "it took too long"
+
+
+def test_commands_before_the_commit_was_seen_are_right_and_later_ones_are_late_by_the_enforcement() -> None:
+    found = judged(log(drive("a", 1, 10.64), drive("b", 10.65, 20)), KILLED)
+    assert found.fenced == []
+    assert found.strangers == 0
+    found = judged(log(drive("a", 1, 10), drive("b", 10.3, 20)), KILLED)
+    assert found.strangers == 0, "the watch may be late"
+
+
+def test_while_the_gate_was_not_watched_both_may_be_right() -> None:
+    commits = [Commit(0.0, 1, ("a",)), Commit(30.0, 2, ("b",), since=8.0)]
+    found = judged(log(drive("a", 1, 10), drive("b", 10.62, 40)), KILLED, commits=commits)
+    assert "not in control" not in whats(found)
+    assert "fenced instance" not in whats(found)
+
+
+def test_commands_that_were_sent_before_the_switch_are_stale() -> None:
+    burst = [Command(10.61, "b", 0, 10.61 - age, *[0.0] * 6) for age in (0.48, 0.2, 0.03)]
+    found = judged(log(drive("a", 1, 10), burst, drive("b", 10.65, 20)), KILLED)
+    assert found.stale == [pytest.approx(0.47), pytest.approx(0.19)]
+    assert whats(found) == ["stale command"]
+
+
+def test_a_gap_counts_against_the_strategy_that_ended_it() -> None:
+    commands = log(drive("a", 1, 10), drive("b", 15, 20))
+    commits = [Commit(0.0, 1, ("a",)), Commit(15.0, 2, ("b",))]
+    hot, cold = recovery(10.5, 15.0), recovery(10.5, 15.0, "Restart")
+    assert whats(judged(commands, KILLED, commits=commits, recoveries=[hot])) == ["gap"]
+    assert whats(judged(commands, KILLED, commits=commits, recoveries=[cold])) == []
+    assert whats(judged(commands, KILLED, commits=commits)) == ["gap"], "nobody recovered it"
+
+
+def test_time_without_a_monitor_or_an_api_server_is_not_counted() -> None:
+    commands = log(drive("a", 1, 10), drive("b", 15, 20))
+    commits = [Commit(0.0, 1, ("a",)), Commit(15.0, 2, ("b",))]
+    away = fault("api-stop", 9.0, 14.5, robot=3)
+    found = judged(commands, KILLED, away, commits=commits, recoveries=[recovery(10.5, 15.0)])
+    assert whats(found) == []
+    other = fault("monitor-freeze", 9.0, 14.5, robot=3)
+    assert whats(judged(commands, KILLED, other, commits=commits, recoveries=[recovery(10.5, 15.0)])) == ["gap"]
+
+
+def test_a_failover_is_false_if_the_robot_had_its_commands_and_no_fault_disturbed_them() -> None:
+    commands, recoveries = log(drive("a", 1, 10.55), drive("b", 10.62, 20)), [recovery(10.5, 10.6)]
+    assert whats(judged(commands, fault("monitor-freeze", 8.0, 9.0), recoveries=recoveries)) == ["false failover"]
+    assert whats(judged(commands, KILLED, recoveries=recoveries)) == []
+    silent = judged(log(drive("a", 1, 10), drive("b", 10.62, 20)), recoveries=recoveries)
+    assert silent.unexplained == 1
+    assert whats(silent) == []
+
+
+def test_a_fault_that_could_not_be_made_explains_nothing() -> None:
+    commands = log(drive("a", 1, 10.55), drive("b", 10.62, 20))
+    refused = Injected(KILLED.fault, 10.02, 10.02, refused="no pod")
+    assert whats(judged(commands, refused, recoveries=[recovery(10.5, 10.6)])) == ["false failover"]
+
+
+def test_steps_that_go_back_by_more_than_the_age_of_kept_state_are_lost() -> None:
+    commands = log(drive("a", 1, 10), drive("b", 10.62, 20))
+    before = sum(command.source == "a" for command in commands)
+    for back, expected in ((40, []), (before, ["state lost"])):
+        steps = {c.sequence: c.sequence - (back if c.source == "b" else 0) for c in commands}
+        found = judged(commands, KILLED, steps=steps)
+        assert found.lost_steps == [back - 1]
+        assert whats(found) == expected
+
+
+def test_goals_are_lost_without_a_success_and_doubled_when_they_are_finished_twice() -> None:
+    commands = log(drive("a", 1, 10), drive("b", 10.62, 20))
+    goals = {"one": "succeeded", "two": "aborted", "three": ""}
+    finished = [("one", "a"), ("one", "b"), ("four", "a"), ("four", "a")]
+    found = judged(commands, KILLED, goals=goals, finished=finished)
+    assert whats(found) == ["goal lost", "goal lost", "goal doubled", "goal doubled"]
+
+
+def test_windows_that_overlap_cover_time_once() -> None:
+    assert covered([(0, 4), (3, 6), (9, 20), (30, 40)], 2, 10) == 5
+    assert covered([], 2, 10) == 0
+
+
+def test_every_shared_kind_affects_every_robot() -> None:
+    for kind in BY_NAME.values():
+        commands, recoveries = log(drive("a", 1, 10.55), drive("b", 10.62, 20)), [recovery(10.5, 10.6)]
+        found = judged(commands, fault(kind.name, 9.5, 10.4, robot=5), recoveries=recoveries)
+        assert (whats(found) == []) == bool(kind.shared and kind.disturbs)
