@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import math
+import signal
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -14,7 +16,7 @@ from bench.chaos import plan
 from bench.chaos.apply import Faults
 from bench.chaos.judge import Injected, Judgement, Seen, judge
 from bench.chaos.report import Aftermath, kinds_table, summarize
-from bench.chaos.robots import CampaignRobot, start
+from bench.chaos.robots import REFLEX_DEADLINE, CampaignRobot, start
 from bench.chaos.witness import UNREACHABLE, Witness, dump
 from bench.recovery import enforcer
 from tests.e2e.conftest import install
@@ -34,6 +36,8 @@ ENDING = 40.0
 
 def run(kubeconfig: Path, namespace: str, options: argparse.Namespace) -> int:
     """Run the campaign and return the exit status."""
+    for number in (signal.SIGINT, signal.SIGTERM):  # whoever ends it: what was broken must be repaired
+        signal.signal(number, signal.default_int_handler)
     faults = plan.plan(options.seed, options.faults, options.robots, options.every, options.only)
     install(kubeconfig)
     kubectl = Kubectl(kubeconfig, namespace)
@@ -121,7 +125,7 @@ def _judge(robot: CampaignRobot, witness: Witness, injected: Sequence[Injected],
         robot.name,
         robot.index,
         robot.timeout,
-        robot.way.reflex,
+        REFLEX_DEADLINE if robot.way.reflex else 0.0,
         commands=[command for command in journal.log.commands if command.received >= begun],
         commits=witness.commits(robot.workload),
         recoveries=[one for one in witness.recoveries(robot.workload) if one.moments.get("detected", 0.0) >= begun],
@@ -129,10 +133,17 @@ def _judge(robot: CampaignRobot, witness: Witness, injected: Sequence[Injected],
         finished=journal.finished,
         goals=_ended(robot.goals()),
     )
-    folder = Path("/tmp") / "understudy-chaos"
+    folder = Path(tempfile.gettempdir()) / "understudy-chaos"  # for who looks into a violation
     folder.mkdir(exist_ok=True)
-    dump(folder / f"{robot.name}.json", commits=seen.commits, recoveries=[vars(one) for one in seen.recoveries],
-         commands=[(c.received, c.sent, c.source) for c in seen.commands])  # fmt: skip
+    dump(
+        folder / f"{robot.name}.json",
+        commits=seen.commits,
+        recoveries=witness.records(robot.workload),
+        commands=[(c.received, c.sent, c.source, c.sequence) for c in seen.commands],
+        steps=seen.steps,
+        finished=seen.finished,
+        goals=seen.goals,
+    )
     return judge(seen, injected)
 
 

@@ -35,6 +35,9 @@ REPAIR = 1.5
 TAMPERED = {"gate-delete", "gate-edit", "label-remove", "label-exchange"}
 """The kinds of faults that do such a thing."""
 
+BEFORE = 8.0
+"""Seconds before a switch in which a fault may have been its cause."""
+
 STATE_AGE = 4.0
 """Seconds of work that a failover may lose: kept state is from before the failure, by the gap and the margin, and a quarter older."""
 
@@ -83,7 +86,8 @@ class Seen:
     index: int
     timeout: float
     """Seconds without commands that its policy treats as a failure."""
-    reflex: bool = False
+    reflex: float = 0.0
+    """Seconds of silence after which its reader takes the standby's commands by itself; 0 if it does not."""
     commands: Sequence[Command] = ()
     commits: Sequence[Commit] = ()
     recoveries: Sequence[Recovered] = ()
@@ -137,7 +141,8 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
     theirs = [one for one in injected if not one.refused and affects(one, seen.index)]
 
     def violation(what: str, at: float, text: str, since: float | None = None) -> None:
-        near = tuple(one.fault.number for one in theirs if one.overlaps((at if since is None else since) - 2.0, at))
+        begin = at - BEFORE if since is None else since - 2.0
+        near = tuple(one.fault.number for one in theirs if one.overlaps(begin, at))
         found.violations.append(Violation(what, seen.name, at, text, near))
 
     tampered = [one.begun for one in theirs if one.fault.kind in TAMPERED]
@@ -330,4 +335,5 @@ def rightness(recovery: Recovered, seen: Seen, injected: Sequence[Injected]) -> 
         return "right"
     before = [c.received for c in seen.commands if detected - 3 * seen.timeout <= c.received <= detected] + [detected]
     silent = max((b - a for a, b in pairwise(before)), default=math.inf)
-    return "busy" if silent >= SHARE * seen.timeout else "false"
+    limit = seen.reflex if "reflex" in recovery.strategy else seen.timeout
+    return "busy" if silent >= SHARE * limit else "false"

@@ -120,8 +120,11 @@ class Witness:
 
     def recoveries(self, workload: str) -> list[Recovered]:
         """Return all recoveries, also those that the status no longer has."""
-        found = sorted(key for key in self._recoveries if key[0] == workload)
-        return [Recovered.read(self._recoveries[key]) for key in found]
+        return [Recovered.read(record) for record in self.records(workload)]
+
+    def records(self, workload: str) -> list[Object]:
+        """Return the same as they stood in the status."""
+        return [self._recoveries[key] for key in sorted(self._recoveries) if key[0] == workload]
 
     def unwell(self) -> list[str]:
         """Return which workloads are not healthy and protected, and why."""

@@ -75,7 +75,7 @@ def test_an_instance_that_returns_later_is_fenced_but_does_not_drive_together_wi
 def test_the_reader_of_a_robot_with_a_reflex_may_go_back_until_the_commit() -> None:
     commands = log(drive("a", 1, 10), drive("b", 10.2, 10.4), drive("a", 10.41, 10.56), drive("b", 10.59, 20))
     commits = [Commit(0.0, 1, ("a", "b")), Commit(10.6, 2, ("b",))]
-    assert whats(judged(commands, KILLED, commits=commits, reflex=True)) == []
+    assert whats(judged(commands, KILLED, commits=commits, reflex=0.3)) == []
     assert "double drive" in whats(judged(commands, KILLED, commits=commits))
 
 
@@ -139,6 +139,9 @@ def test_a_failover_is_false_if_the_robot_had_its_commands_and_no_fault_disturbe
     commands, recoveries = log(drive("a", 1, 10.55), drive("b", 10.62, 20)), [recovery(10.5, 10.6)]
     assert whats(judged(commands, fault("monitor-freeze", 8.0, 9.0), recoveries=recoveries)) == ["false failover"]
     assert whats(judged(commands, KILLED, recoveries=recoveries)) == []
+    reflex = [recovery(10.5, 10.6, "Fallback/Executing (reflex)")]
+    early = judged(log(drive("a", 1, 10.2), drive("b", 10.5, 20)), recoveries=reflex, reflex=0.3)
+    assert (early.unexplained, "false failover" in whats(early)) == (1, False), "a reflex is faster than the timeout"
     silent = judged(log(drive("a", 1, 10), drive("b", 10.62, 20)), recoveries=recoveries)
     assert silent.unexplained == 1
     assert whats(silent) == []
