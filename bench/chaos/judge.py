@@ -57,6 +57,12 @@ class Injected:
     refused: str = ""
     """Why it could not be made; empty if it was."""
 
+    @property
+    def waiting(self) -> tuple[float, float]:
+        """From when to when a recovery may have to wait for it."""
+        kind = BY_NAME[self.fault.kind]
+        return self.begun, min(self.ended + kind.after, self.begun + kind.most)
+
     def overlaps(self, begin: float, end: float) -> bool:
         """Return whether its effects may have been felt between two moments."""
         return self.begun <= end and begin <= self.ended + BY_NAME[self.fault.kind].after
@@ -288,7 +294,7 @@ def gaps(seen: Seen, injected: Sequence[Injected]) -> Iterator[tuple[float, floa
         if b.received - a.received <= seen.timeout:
             continue
         strategy = _strategy(seen, a.received, b.received)
-        waits = [(i.begun, i.ended + BY_NAME[i.fault.kind].after) for i in injected if BY_NAME[i.fault.kind].delays]
+        waits = [one.waiting for one in injected if BY_NAME[one.fault.kind].delays]
         explained = covered(waits, a.received, b.received)
         yield a.received, b.received - a.received - explained, strategy, seen.timeout + _bound(strategy)
 

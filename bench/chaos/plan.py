@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Collection
 from dataclasses import dataclass
 
 ACTIVE, STANDBY = "active", "standby"
+
+REPLACED = 20.0
+"""Seconds after which a monitor of a lost node is replaced: the test cluster replaces pods after 11, and the new one has to start."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +33,8 @@ class Kind:
     """Whether a recovery may have to wait for its end: it takes away the monitor or the API server."""
     after: float = 2.0
     """Seconds from its end for which its effects may last."""
+    most: float = math.inf
+    """Seconds from its beginning after which a recovery must no longer wait for its end, since what it took away is replaced elsewhere."""
     weight: float = 1.0
     """How often it happens in comparison with the others."""
 
@@ -40,8 +46,8 @@ KINDS = (
     Kind("slow", (3.0, 10.0), victims=(ACTIVE,), strengths=(50, 80, 95), disturbs=True),
     Kind("packet-loss", (3.0, 10.0), victims=(ACTIVE, STANDBY), strengths=(10, 30, 60), disturbs=True),
     Kind("packet-delay", (3.0, 10.0), victims=(ACTIVE, STANDBY), strengths=(100, 300), disturbs=True),
-    Kind("node-power", (8.0, 15.0), "nodes", disturbs=True, delays=True, after=15.0, weight=0.5),
-    Kind("node-cut", (4.0, 20.0), "nodes", disturbs=True, delays=True, after=15.0, weight=0.5),
+    Kind("node-power", (8.0, 15.0), "nodes", disturbs=True, delays=True, after=15.0, most=REPLACED, weight=0.5),
+    Kind("node-cut", (4.0, 20.0), "nodes", disturbs=True, delays=True, after=15.0, most=REPLACED, weight=0.5),
     Kind("monitor-kill", delays=True, after=8.0),
     Kind("monitor-freeze", (2.0, 15.0), delays=True, after=4.0),
     Kind("monitor-disk-full", (5.0, 15.0)),

@@ -135,6 +135,15 @@ def test_time_without_a_monitor_or_an_api_server_is_not_counted() -> None:
     assert whats(judged(commands, KILLED, other, commits=commits, recoveries=[recovery(10.5, 15.0)])) == ["gap"]
 
 
+def test_a_lost_node_is_waited_for_only_until_its_monitors_are_replaced_elsewhere() -> None:
+    commands = log(drive("a", 1, 10), drive("b", 45, 50))
+    commits = [Commit(0.0, 1, ("a",)), Commit(45.0, 2, ("b",))]
+    lost = fault("node-power", 10.0, 40.0)
+    found = judged(commands, lost, commits=commits, recoveries=[recovery(44.5, 45.0)])
+    assert whats(found) == ["gap"]
+    assert found.gaps == {"Fallback/Executing": [pytest.approx(15.0)]}
+
+
 def test_a_failover_is_false_if_the_robot_had_its_commands_and_no_fault_disturbed_them() -> None:
     commands, recoveries = log(drive("a", 1, 10.55), drive("b", 10.62, 20)), [recovery(10.5, 10.6)]
     assert whats(judged(commands, fault("monitor-freeze", 8.0, 9.0), recoveries=recoveries)) == ["false failover"]
