@@ -9,6 +9,7 @@ from collections.abc import AsyncIterator
 
 import pytest
 
+from tests.cluster.conftest import Release
 from tests.support import gates
 from understudy.api import names
 from understudy.kube import claims
@@ -27,7 +28,8 @@ async def client() -> AsyncIterator[Client]:
 
 
 @pytest.fixture
-async def space(client: Client) -> AsyncIterator[str]:
+async def space(client: Client, release: Release) -> AsyncIterator[str]:
+    """A namespace in which the chart's admission policies let the tests claim pods."""
     name = f"claims-{uuid.uuid4().hex[:6]}"
     await client.create(NAMESPACES, None, {"apiVersion": "v1", "kind": "Namespace", "metadata": {"name": name}})
     yield name

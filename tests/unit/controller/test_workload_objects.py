@@ -81,6 +81,15 @@ def test_the_discovery_server_announces_the_address_of_its_service() -> None:
     assert container["args"] == ["10.96.0.9", "11811"]
 
 
+def test_the_discovery_server_prefers_a_node_without_instances() -> None:
+    pod = applied(World(workload(), policy("Restart")).plan(), "deployments")["w-discovery"]["spec"]["template"]
+    (term,) = pod["spec"]["affinity"]["podAntiAffinity"]["preferredDuringSchedulingIgnoredDuringExecution"]
+    assert term["podAffinityTerm"]["topologyKey"] == "kubernetes.io/hostname"
+    instance = source_pod("w-a")["metadata"]["labels"]
+    assert term["podAffinityTerm"]["labelSelector"]["matchLabels"].items() <= instance.items()
+    assert not term["podAffinityTerm"]["labelSelector"]["matchLabels"].items() <= pod["metadata"]["labels"].items()
+
+
 def test_a_recreated_discovery_service_requests_its_former_address() -> None:
     world = World(workload(), policy("hot"), hot())
     world.build()

@@ -238,6 +238,16 @@ async def test_endpoints_of_other_hosts_do_not_count(managed: Managed, dds: None
             one.close()
 
 
+async def test_a_call_whose_node_is_closed_meanwhile_fails_with_a_reason(caller) -> None:
+    from understudy.ros.actions.instance_calls import CallFailed
+
+    calling = asyncio.create_task(caller.call("/missing", "std_srvs/srv/Trigger", {}, WITHIN))
+    await asyncio.sleep(1.0)
+    caller.close()
+    with pytest.raises(CallFailed, match="service /missing: this process left the ROS graph during the call"):
+        await asyncio.wait_for(calling, WITHIN)
+
+
 async def test_a_cancelled_call_leaves_the_caller_usable(managed: Managed, caller) -> None:
     managed.start()
     await caller.call("/switch", "std_srvs/srv/SetBool", {}, WITHIN)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from understudy.api import names
 from understudy.controller import plan
 from understudy.controller.plan import Images, priority, pull_secrets
+from understudy.controller.pods import pod_placement
 from understudy.controller.pods.instance_pod import HARDENED
 from understudy.kube.client import Object
 from understudy.ros.rmw import MIDDLEWARE
@@ -57,6 +58,7 @@ def deployment(workload: str, images: Images, address: str) -> Object:
     pod: Object = {
         "automountServiceAccountToken": False,
         "terminationGracePeriodSeconds": 2,
+        "affinity": _apart(workload),
         "tolerations": TOLERATIONS,
         **priority(images),
         **pull_secrets(images.pull_secrets),
@@ -64,6 +66,15 @@ def deployment(workload: str, images: Images, address: str) -> Object:
         "volumes": [{"name": "tmp", "emptyDir": {}}],
     }
     return plan.deployment(names.discovery(workload), _labels(workload), {}, pod)
+
+
+def _apart(workload: str) -> Object:
+    """Return a preference for nodes without instances, which would be lost together with the server.
+
+    Without the server, the process that takes over may have to wait until it is found.
+    """
+    term = pod_placement.away_from({names.WORKLOAD: workload}, pod_placement.MOST)
+    return {"podAntiAffinity": {"preferredDuringSchedulingIgnoredDuringExecution": [term]}}
 
 
 def address(service_: Object | None) -> str | None:

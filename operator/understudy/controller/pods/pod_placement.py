@@ -11,7 +11,7 @@ from understudy.kube.client import Object
 LOST_SECONDS = 30
 
 _HOSTNAME = "kubernetes.io/hostname"
-_DISTANCE = 100  # the maximum weight: an understudy on the node of the active pod is lost with it
+MOST = 100  # the maximum weight: an understudy on the node of the active pod is lost with it
 _DISTANCE_OF_MONITOR = 50  # a monitor lost with the active pod must first start elsewhere, which takes seconds
 
 
@@ -23,7 +23,7 @@ def keep_apart(spec: Object, *, workload: str, pool: str, held: bool) -> None:
     if held and (spec.get("topologySpreadConstraints") or (spec.get("affinity") or {}).get("podAntiAffinity")):
         return
     labels = {names.WORKLOAD: workload} if workload else {names.POOL: pool}
-    terms = [away_from(labels, _DISTANCE)]
+    terms = [away_from(labels, MOST)]
     if workload:
         terms.append(away_from({names.MONITORED: workload}, _DISTANCE_OF_MONITOR))
     affinity = dict(spec.get("affinity") or {})

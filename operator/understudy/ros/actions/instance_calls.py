@@ -347,6 +347,10 @@ class InstanceCaller:
             raise CallFailed(f"{bound.missing} within {within:.3g} s") from None
         except (TypeNotInstalled, MessageError, ValueError) as error:
             raise CallFailed(f"{what}: {error}") from error
+        except Exception as error:
+            if not _is_of_a_closed_node(error):
+                raise
+            raise CallFailed(f"{what}: this process left the ROS graph during the call") from error
         finally:
             self._left()
 
@@ -355,6 +359,13 @@ class InstanceCaller:
         self._users -= 1
         if not self._users and self._opened is not None:
             self._idle = asyncio.get_running_loop().call_later(IDLE, self.close)
+
+
+def _is_of_a_closed_node(error: Exception) -> bool:
+    """Whether an error shows that an entity was used after its node was closed, as when the process joins another graph."""
+    from rclpy.exceptions import InvalidHandle
+
+    return isinstance(error, InvalidHandle)
 
 
 def _acknowledged(publisher: Any) -> bool:
