@@ -19,9 +19,10 @@ from bench.chaos.report import Aftermath, kinds_table, summarize
 from bench.chaos.robots import REFLEX_DEADLINE, CampaignRobot, start
 from bench.chaos.witness import UNREACHABLE, Witness, dump
 from bench.recovery import enforcer
-from tests.e2e.conftest import install
+from tests.e2e.conftest import CHART, install
 from tests.e2e.faults import cluster, is_ready
 from tests.e2e.kubectl import Kubectl
+from tests.support.cluster import Cluster
 from understudy.api import names
 
 SETTLE = 120.0
@@ -39,7 +40,8 @@ def run(kubeconfig: Path, namespace: str, options: argparse.Namespace) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):  # whoever ends it: what was broken must be repaired
         signal.signal(number, signal.default_int_handler)
     faults = plan.plan(options.seed, options.faults, options.robots, options.every, options.only)
-    install(kubeconfig)
+    # The campaign changes labels, so that it is seen how soon they are restored without the admission policy.
+    install(kubeconfig, CHART, "--set", f"admission.labelWriters={{{Cluster(kubeconfig).user}}}")
     kubectl = Kubectl(kubeconfig, namespace)
     kubectl("create", "namespace", namespace)
     try:
