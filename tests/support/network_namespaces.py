@@ -12,6 +12,8 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from understudy.api import names
+
 
 class Network:
     """Hosts that reach each other over one switch."""
@@ -62,6 +64,13 @@ class Network:
     @staticmethod
     def _inside(pid: int, *command: str) -> None:
         subprocess.run(["nsenter", f"--net=/proc/{pid}/ns/net", *command], check=True)
+
+
+def fence(host: list[str], closed: bool) -> None:
+    """What the gate does: nothing leaves this host for the gated ports."""
+    first, last = names.GATE_RANGE
+    rule = ["pref", "10", "ipproto", "udp", "dport", f"{first}-{last}", "blackhole"]
+    subprocess.run([*host, "ip", "rule", "add" if closed else "del", *rule], check=True)
 
 
 @contextlib.contextmanager

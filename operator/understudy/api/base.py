@@ -46,13 +46,14 @@ def with_rules(*entries: tuple[str, str] | tuple[str, str, str]) -> Callable[[Mo
     return decorate
 
 
-def length(field: str, least: str, most: str = "") -> tuple[str, str, str]:
-    """Return the rule for the bounds of a duration."""
+def length(field: str, least: str, most: str = "", *, required: bool = True) -> tuple[str, str, str]:
+    """Return the rule for the bounds of a duration; ``required`` is whether the duration is always present."""
     bounds = f"duration(self.{field}) >= duration('{least}')"
     if most:
         bounds = f"({bounds} && duration(self.{field}) <= duration('{most}'))"
     words = f"from {least} to {most}" if most else f"at least {least}"
-    return f"!self.{field}.matches(r'{DURATION_PATTERN}') || {bounds}", f"{field} must be {words}", f".{field}"
+    absent = "" if required else f"!has(self.{field}) || "
+    return f"{absent}!self.{field}.matches(r'{DURATION_PATTERN}') || {bounds}", f"{field} must be {words}", f".{field}"
 
 
 def unique(field: str, key: str, message: str, *, required: bool = False) -> tuple[str, str, str]:

@@ -75,15 +75,18 @@ class TestPods:
 
 class TestWorkloads:
     @pytest.mark.parametrize("tasks", [[], TASKS])
-    def test_the_proxy_and_the_profiles_exist_only_for_a_workload_with_tasks(self, tasks: list[Object]) -> None:
+    def test_only_a_workload_with_tasks_has_a_proxy_and_every_one_has_profiles(self, tasks: list[Object]) -> None:
         world = World(workload("w", tasks=tasks), policy("hot"), hot())
         plan = world.plan()
         pod = applied(plan, "deployments")["w-monitor"]["spec"]["template"]["spec"]
         containers = {container["name"]: container for container in pod["containers"]}
         config = applied(plan, "configmaps")
-        assert ("tasks" in containers) == ("w-instance-profiles" in config) == bool(tasks)
+        assert ("tasks" in containers) == bool(tasks)
         template = applied(plan, "replicasets")["w"]["spec"]["template"]
-        assert (env(template["spec"]["containers"][0], MIDDLEWARE.settings_variable) is not None) == bool(tasks)
+        assert env(template["spec"]["containers"][0], MIDDLEWARE.settings_variable) is not None
+        profiles = config["w-instance-profiles"]["data"]["profiles.xml"]
+        assert profiles.count("<lifespan>") == 1, "of /cmd_vel"
+        assert profiles.count("<partition>") == (16 if tasks else 0)
         if tasks:
             proxy = containers["tasks"]
             assert proxy["args"] == ["tasks"]
@@ -95,11 +98,10 @@ class TestWorkloads:
             assert port not in [p["containerPort"] for p in containers["monitor"]["ports"]], (
                 "they share the pod's address"
             )
-            assert config["w-instance-profiles"]["data"]["profiles.xml"] == PROFILES
 
     def test_the_pods_of_a_referenced_controller_have_no_proxy_and_the_problem_is_reported(self) -> None:
         reference = {"kind": "Deployment", "name": "arm"}
         spec = RobotWorkloadSpec.model_validate(workload("w", tasks=TASKS, workloadRef=reference)["spec"])
-        assert action_proxy_container.instance_profiles(spec) == ""
+        assert "<partition>" not in action_proxy_container.instance_profiles(spec)
         assert not action_proxy_container.proxied(spec)
         assert "the pods of Deployment arm serve /goto directly" in action_proxy_container.problem("w", spec, TEMPLATE)

@@ -38,7 +38,7 @@ def test_every_object_of_a_workload_is_created() -> None:
     assert set(applied(plan, "replicasets")) == {"w"}
     assert set(applied(plan, "networkpolicies")) == {"w-standby"}
     assert [kube_objects.name(body) for body in created(plan, "networkpolicies")] == ["w-gate"]
-    assert set(applied(plan, "configmaps")) == {"w-robot-env", "w-robot-profiles", "w-settings"}
+    assert set(applied(plan, "configmaps")) == {"w-robot-env", "w-robot-profiles", "w-instance-profiles", "w-settings"}
     assert set(applied(plan, "deployments")) == {"w-monitor", "w-discovery"}
     assert set(applied(plan, "services")) == {"w-discovery"}
     assert set(applied(plan, "serviceaccounts")) == {"w-understudy-monitor"}

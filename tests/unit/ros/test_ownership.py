@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from tests.support.network_namespaces import Network, network
+from tests.support.network_namespaces import Network, fence, network
 from tests.unit.ros.processes import Processes
 from understudy.agent.prepare import filled_in
 from understudy.agent.writer_strength import WriterStrengths
@@ -73,8 +73,7 @@ def test_the_readers_of_an_instance_match_its_writers_and_have_no_deadline() -> 
 
 
 def test_without_the_reflex_there_is_no_ownership() -> None:
-    assert "ownership" not in profiles_xml([CHAT])
-    assert instance_profiles_xml([], [CHAT]) == ""
+    assert "ownership" not in profiles_xml([CHAT]) + instance_profiles_xml([], [CHAT])
 
 
 # -- real nodes ----------------------------------------------------------------------------------------------------
@@ -106,13 +105,6 @@ def until_from(robot: subprocess.Popen[str], pod: str, count: int = 20, within: 
 def senders(robot: subprocess.Popen[str], count: int) -> set[str]:
     """The senders of the next samples."""
     return {Processes.line(robot, 40) for _ in range(count)}
-
-
-def fence(host: list[str], closed: bool) -> None:
-    """What the gate does: nothing leaves this host for the gated ports."""
-    first, last = names.GATE_RANGE
-    rule = ["pref", "10", "ipproto", "udp", "dport", f"{first}-{last}", "blackhole"]
-    subprocess.run([*host, "ip", "rule", "add" if closed else "del", *rule], check=True)
 
 
 @pytest.mark.ros

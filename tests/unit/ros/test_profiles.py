@@ -5,12 +5,13 @@ from xml.etree import ElementTree
 import pytest
 
 from understudy.api import names
-from understudy.api.kinds.robot_workload import Output
+from understudy.api.kinds.robot_workload import Output, Reflex
 from understudy.api.kinds.task_spec import Task
 from understudy.ros.dds.profiles import gate_ports, instance_profiles_xml, profiles_xml
 
 CMD_VEL = Output(topic="/cmd_vel", type="geometry_msgs/msg/Twist")
 SNAP = Output(service="/snap", type="std_srvs/srv/Trigger")
+SPACE = {"d": "http://www.eprosima.com"}
 GOTO = Output(action="/robot/goto", type="test_msgs/action/Fibonacci")
 
 
@@ -60,10 +61,9 @@ def test_an_output_without_a_free_port_is_reported():
 def test_the_file_has_one_reader_per_port():
     outputs = [CMD_VEL, SNAP, GOTO]
     root = ElementTree.fromstring(profiles_xml(outputs))
-    space = {"d": "http://www.eprosima.com"}
     found = {
-        reader.attrib["profile_name"]: int(reader.findtext(".//d:udpv4/d:port", namespaces=space) or 0)
-        for reader in root.iterfind(".//d:data_reader", space)
+        reader.attrib["profile_name"]: int(reader.findtext(".//d:udpv4/d:port", namespaces=SPACE) or 0)
+        for reader in root.iterfind(".//d:data_reader", SPACE)
     }
     assert found == gate_ports(outputs)
 
@@ -92,5 +92,46 @@ def test_every_endpoint_of_a_task_is_in_the_partition_of_its_pod():
     assert set(partitions.values()) == {"understudy-${UNDERSTUDY_POD}"}
 
 
-def test_without_tasks_instances_have_no_profiles():
+def writers(*outputs: Output, reflex: Reflex | None = None) -> dict[str, tuple[float, float]]:
+    """Lifespan and heartbeat period of each writer in an instance, in seconds."""
+    root = ElementTree.fromstring(instance_profiles_xml([], outputs, reflex))
+
+    def seconds(writer: ElementTree.Element, path: str) -> float:
+        whole, nanoseconds = (int(writer.findtext(f"{path}/d:{unit}", "", SPACE)) for unit in ("sec", "nanosec"))
+        return whole + nanoseconds / 1e9
+
+    return {
+        writer.attrib["profile_name"]: (
+            seconds(writer, "d:qos/d:lifespan/d:duration"),
+            seconds(writer, "d:times/d:heartbeatPeriod"),
+        )
+        for writer in root.iterfind(".//d:data_writer", SPACE)
+    }
+
+
+def test_every_writer_that_commands_the_robot_has_a_lifespan_of_about_one_period() -> None:
+    assert writers(CMD_VEL, SNAP, GOTO) == {
+        "/cmd_vel": (0.1, 0.025),
+        "rq/snapRequest": (1.0, 0.25),
+        "rq/robot/goto/_action/send_goalRequest": (1.0, 0.25),
+        "rq/robot/goto/_action/cancel_goalRequest": (1.0, 0.25),
+    }
+
+
+def test_a_workload_sets_the_lifespan_of_an_output() -> None:
+    slow = CMD_VEL.model_copy(update={"lifespan": "1m30s"})
+    quick = SNAP.model_copy(update={"lifespan": "200ms"})
+    assert writers(slow, quick) == {"/cmd_vel": (90.0, 3.0), "rq/snapRequest": (0.2, 0.05)}
+
+
+def test_a_deadline_of_the_reflex_is_at_most_the_lifespan_of_topics() -> None:
+    short, long = Reflex(deadline="40ms"), Reflex(deadline="5s")
+    slow = CMD_VEL.model_copy(update={"lifespan": "300ms"})
+    assert writers(CMD_VEL, SNAP, reflex=short) == {"/cmd_vel": (0.04, 0.01), "rq/snapRequest": (1.0, 0.25)}
+    assert writers(CMD_VEL, reflex=long) == {"/cmd_vel": (0.1, 0.025)}
+    assert writers(slow, reflex=short) == {"/cmd_vel": (0.3, 0.075)}, "what the workload says comes first"
+
+
+def test_only_with_tasks_or_the_reflex_do_instances_have_profiles_of_readers() -> None:
+    assert "<data_reader" not in instance_profiles_xml([], [CMD_VEL, SNAP, GOTO])
     assert instance_profiles_xml([]) == ""

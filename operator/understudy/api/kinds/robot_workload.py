@@ -33,6 +33,12 @@ STOCKED_MOST = 8
 
 Health = Literal["Unknown", "Starting", "Healthy", "Degraded", "Failed", "Recovering"]
 
+TOPIC_LIFESPAN = "100ms"
+"""Default of ``outputs[].lifespan`` for topics: about one period of the slower control loops."""
+
+REQUEST_LIFESPAN = "1s"
+"""Default of ``outputs[].lifespan`` for services and actions: their calls have no period, and must survive a lost packet."""
+
 _BYTE = r"(25[0-5]|2[0-4][0-9]|1[0-9][0-9]|[1-9]?[0-9])"
 CIDR_PATTERN = rf"^(({_BYTE}\.){{3}}{_BYTE}/([1-9]|[12][0-9]|3[0-2])|[0-9a-fA-F:]*:[0-9a-fA-F:]*/([1-9]|[1-9][0-9]|1[01][0-9]|12[0-8]))$"
 CIDR_MESSAGE = "write addresses as a CIDR, such as 192.168.10.0/24 or 192.168.10.7/32; a /0 would include the pods"
@@ -61,6 +67,7 @@ Cidr = Annotated[str, matching(CIDR_PATTERN, CIDR_MESSAGE, max_length=43)]
         "the type of an action is package/action/Name, such as nav2_msgs/action/NavigateToPose",
         ".type",
     ),
+    length("lifespan", "10ms", "24h", required=False),
 )
 class Output(Model):
     """One interface to the robot: a topic that the robot reads, or a service or action between the workload and the robot."""
@@ -73,6 +80,12 @@ class Output(Model):
     """Fully qualified name of an action between the workload and the robot. Either side may be the server."""
     type: str = matching(ROS_TYPE_PATTERN, ROS_TYPE_MESSAGE, max_length=256)
     """ROS type, such as geometry_msgs/msg/Twist."""
+    lifespan: Duration | None = None
+    """How long a command stays valid if the robot has not received it: about one period of the output. Then the writer
+    in the instance deletes it, so that a standby does not deliver old commands when the gate opens for it. Applies to
+    the messages of a topic, the requests of a service, and the goals and cancellations of an action. A latched topic
+    (durability transient local) needs a long lifespan. Default: 100ms for a topic, or gate.reflex.deadline if that is
+    shorter; 1s for a service or an action."""
 
     @property
     def name(self) -> str:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from understudy.api import names
 from understudy.api.base import seconds
 from understudy.api.kinds.robot_workload import Reflex
+from understudy.ros.dds.xml_durations import seconds_xml
 
 OFFERED = 0.9
 """Fraction of the reader's deadline that writers offer, so that rounding does not make the two incompatible."""
@@ -27,20 +28,19 @@ def robot_reader(reflex: Reflex) -> str:
 
 
 def instance_reader() -> str:
-    """Return the QoS of an output's readers in an instance's pod: they match its writers, without a deadline."""
-    return f"<qos>{_EXCLUSIVE}</qos>"
+    """Return the elements of QoS for an output's readers in an instance's pod: they match its writers, without a deadline."""
+    return _EXCLUSIVE
 
 
 def instance_writer(reflex: Reflex) -> str:
-    """Return the QoS of an output's writers in an instance.
+    """Return the elements of QoS for an output's writers in an instance.
 
     Their strength is filled in when the pod starts (api/protocol/ownership_strength.py).
     """
     value = f"${{{names.STRENGTH_VARIABLE}}}"
     strength = f"<ownershipStrength><value>{value}</value></ownershipStrength>"
-    return f"<qos>{_EXCLUSIVE}{strength}{_deadline(OFFERED * seconds(reflex.deadline))}</qos>"
+    return f"{_EXCLUSIVE}{strength}{_deadline(OFFERED * seconds(reflex.deadline))}"
 
 
 def _deadline(length: float) -> str:
-    whole, nanoseconds = divmod(round(length * 1e9), 10**9)
-    return f"<deadline><period><sec>{whole}</sec><nanosec>{nanoseconds}</nanosec></period></deadline>"
+    return f"<deadline><period>{seconds_xml(length)}</period></deadline>"

@@ -6,6 +6,9 @@ the outputs of a standby, and leaves discovery, acknowledgements and everything 
 In an instance, the endpoints of tasks are in a DDS partition of the pod. Clients of the instance see only the server of
 the task proxy, and only the agent in the pod reaches what the instance serves.
 
+The commands of an instance expire, so that a standby does not deliver old ones when the gate opens for it (see
+command_lifespan.py).
+
 With the reflex, the readers of outputs on the robot's side choose among the writers of the instances (see
 exclusive_ownership.py).
 
@@ -22,9 +25,10 @@ from xml.sax.saxutils import quoteattr
 from understudy.api import names
 from understudy.api.kinds.robot_workload import Output, Reflex
 from understudy.api.kinds.task_spec import Task
-from understudy.ros.dds import exclusive_ownership
+from understudy.ros.dds import command_lifespan, exclusive_ownership
 
 _ACTION_SERVICES = ("send_goal", "get_result", "cancel_goal")
+_ACTION_COMMANDS = ("send_goal", "cancel_goal")
 _ACTION_TOPICS = ("feedback", "status")
 
 PARTITION = f"understudy-${{{names.POD_VARIABLE}}}"
@@ -100,11 +104,23 @@ def profiles_xml(outputs: Iterable[Output], reflex: Reflex | None = None) -> str
     return _FILE.format(profiles=readers)
 
 
+def command_writers(output: Output) -> list[str]:
+    """Return the profile names of the writers in an instance whose samples command the robot.
+
+    These are a topic, the requests of a service, and the goals and cancellations of an action. Replies answer a request
+    of the robot.
+    """
+    if output.topic:
+        return [output.topic]
+    services = [output.service] if output.service else [f"{output.action}/_action/{name}" for name in _ACTION_COMMANDS]
+    return [f"rq{service}Request" for service in services]
+
+
 def instance_profiles_xml(tasks: Iterable[Task], outputs: Iterable[Output] = (), reflex: Reflex | None = None) -> str:
     """Return the profile file for the processes of an instance and its agent; empty if they need none.
 
-    rmw_fastrtps keeps the partition that a profile sets, for readers and writers both, and ownership too. Values that
-    differ between pods remain variables (see agent/prepare.py).
+    rmw_fastrtps keeps the partition that a profile sets, for readers and writers both, and ownership and lifespan too.
+    Values that differ between pods remain variables (see agent/prepare.py).
     """
     profiles = "".join(
         _PARTITIONED.format(kind=kind, name=quoteattr(name), partition=PARTITION)
@@ -112,13 +128,15 @@ def instance_profiles_xml(tasks: Iterable[Task], outputs: Iterable[Output] = (),
         for name in _action_endpoints(task.action)
         for kind in ("data_reader", "data_writer")
     )
-    if reflex is not None:
-        for topic in dict.fromkeys(output.topic for output in outputs if output.topic):
-            for kind, qos in (
-                ("data_reader", exclusive_ownership.instance_reader()),
-                ("data_writer", exclusive_ownership.instance_writer(reflex)),
-            ):
-                profiles += _OWNED.format(kind=kind, name=quoteattr(topic), qos=qos)
+    for output in outputs:
+        length = command_lifespan.lifespan(output, reflex)
+        qos, times = command_lifespan.writer_qos(length), command_lifespan.writer_times(length)
+        if output.topic and reflex is not None:
+            qos = exclusive_ownership.instance_writer(reflex) + qos
+            reader = exclusive_ownership.instance_reader()
+            profiles += _INSTANCE.format(kind="data_reader", name=quoteattr(output.topic), qos=reader, times="")
+        for name in command_writers(output):
+            profiles += _INSTANCE.format(kind="data_writer", name=quoteattr(name), qos=qos, times=times)
     return _FILE.format(profiles=profiles) if profiles else ""
 
 
@@ -147,8 +165,8 @@ _PARTITIONED = """\
     </{kind}>
 """
 
-_OWNED = """\
+_INSTANCE = """\
     <{kind} profile_name={name}>
-      {qos}
+      <qos>{qos}</qos>{times}
     </{kind}>
 """
