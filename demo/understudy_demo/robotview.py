@@ -14,6 +14,9 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
+LIFESPAN = 0.1
+"""Seconds after which a writer drops a command that the robot has not received: the default of ``spec.outputs[].lifespan``."""
+
 
 @dataclass(frozen=True, slots=True)
 class Command:
@@ -94,11 +97,13 @@ class Handover:
     """Commands of the new pod that arrived before the switch: leaks."""
     trailing: float = 0.0
     """How long after the switch the old pod's commands still arrived, or 0."""
+    stale: tuple[Command, ...] = ()
+    """Commands of the new pod that arrived after the switch, and were sent more than LIFESPAN before it."""
 
     @property
     def clean(self) -> bool:
-        """Whether the new pod's commands arrived, none of them early, and none of the old pod's after them."""
-        return self.first_new is not None and not self.early and not self.late
+        """Whether the new pod's commands arrived, none of them early or stale, and none of the old pod's after them."""
+        return self.first_new is not None and not self.early and not self.stale and not self.late
 
     def to_json(self) -> dict[str, Any]:
         """For reports; commands as their reception times."""
@@ -112,6 +117,7 @@ class Handover:
             "trailingSeconds": self.trailing,
             "lateCommands": [c.received for c in self.late],
             "earlyCommands": [c.received for c in self.early],
+            "staleCommands": [[c.sent, c.received] for c in self.stale],
         }
 
 
@@ -189,7 +195,7 @@ class RobotLog:
     def handover(self, old: str, new: str, *, switch: float | None = None) -> Handover:
         """How control passed from ``old`` to ``new``.
 
-        ``switch`` is the earliest moment at which ``new`` may have been given control; without it nothing is early.
+        ``switch`` is the earliest moment at which ``new`` may have been given control; without it nothing is early or stale.
         """
         theirs = self.of(old)
         ours = self.of(new)
@@ -200,6 +206,7 @@ class RobotLog:
         first = ours[len(early)]
         index = self.commands.index(first)
         late = [c for c in theirs if c.received > first.received]
+        stale = [] if switch is None else [c for c in ours[len(early) :] if c.sent < switch - LIFESPAN]
         return Handover(
             old=old,
             new=new,
@@ -210,6 +217,7 @@ class RobotLog:
             late=tuple(late),
             early=tuple(early),
             trailing=_since(switch, last_old),
+            stale=tuple(stale),
         )
 
 

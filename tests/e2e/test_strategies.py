@@ -21,7 +21,7 @@ def often(*hows: str) -> list[object]:
 
 
 def assert_handed_over(robot: Robot, recovery: Recovered) -> None:
-    """At the robot: nothing of the understudy before the switch, nothing of the failed pod after it."""
+    """At the robot: nothing that the understudy sent before the switch, nothing of the failed pod after it."""
     time.sleep(1.5)
     log = robot.log()
     decided = recovery.moments["decided"]
@@ -29,6 +29,7 @@ def assert_handed_over(robot: Robot, recovery: Recovered) -> None:
     print(f"\n{recovery.strategy}: {recovery.seconds:.3f} s {recovery.parts}; robot: {handover.to_json()}")
     assert handover.first_new is not None, "the understudy's commands arrive"
     never(handover.early, "commands of the understudy before the switch")
+    never(handover.stale, "commands that the understudy sent before the switch, and that arrived after it")
     never(
         handover.overlap > ENFORCEMENT and handover.overlap, "commands of two pods overlap by more than one enforcement"
     )

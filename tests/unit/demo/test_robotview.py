@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 from understudy_demo.robotview import RobotLog, parse
@@ -95,6 +96,17 @@ def test_commands_of_the_new_pod_before_the_switch_are_leaks() -> None:
     assert handover.gap == pytest.approx(0.6)
     assert [c.received for c in read.leaks("new", before=10.5)] == [4.02]
     assert read.returns(), "seen from the robot's clock alone, too"
+
+
+def test_a_command_that_was_sent_before_the_switch_and_arrives_after_it_is_stale() -> None:
+    read = log(*drive("old", 0.0, 10.0), *drive("new", 10.6, 12.0))
+    (at,) = [n for n, c in enumerate(read.commands) if c.received == 10.6]
+    read.commands[at] = replace(read.commands[at], sent=10.2)
+    handover = read.handover("old", "new", switch=10.5)
+    assert not handover.clean
+    assert [(c.sent, c.received) for c in handover.stale] == [(10.2, 10.6)]
+    read.commands[at] = replace(read.commands[at], sent=10.45)
+    assert read.handover("old", "new", switch=10.5).clean, "within a lifespan of the switch"
 
 
 def test_a_new_pod_that_never_arrives_is_not_clean() -> None:

@@ -39,8 +39,7 @@ class Driving:
         self._ahead: float | None = None
         self._mapped = False
         self._next: int | None = None
-        # Depth 1 as Nav2's controller has it: of a stream of commands only the latest one is worth sending again.
-        self._commands = Node.create_publisher(node, TwistStamped, "/cmd_vel", 1)
+        self._commands = Node.create_publisher(node, TwistStamped, "/cmd_vel", 10)
         self._inputs = [
             node.create_subscription(Odometry, "/odom", self._moved, 1),
             node.create_subscription(LaserScan, "/scan", self._scanned, qos_profile_sensor_data),

@@ -33,7 +33,7 @@ class Control(Node):
         self._received = 0.0
         self._pose: Pose | None = None
         self._ahead: float | None = None
-        self._commands = self.create_publisher(TwistStamped, "/cmd_vel", 1)
+        self._commands = self.create_publisher(TwistStamped, "/cmd_vel", 10)
         self.create_subscription(Path, "/plan", self._planned, 1)
         self.create_subscription(Odometry, "/odom", self._moved, 1)
         self.create_subscription(LaserScan, "/scan", self._scanned, qos_profile_sensor_data)

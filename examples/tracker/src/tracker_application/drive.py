@@ -24,7 +24,7 @@ class Drive(Node):
         self._route = Route()
         self._pose: tuple[float, float, float] | None = None
         # Of a stream of commands only the latest one is worth sending again.
-        self._commands = self.create_publisher(TwistStamped, "cmd_vel_nav", 1)
+        self._commands = self.create_publisher(TwistStamped, "cmd_vel_nav", 10)
         self.create_subscription(Odometry, "odom", self._moved, 1)
         self.create_timer(PERIOD, self._decide)
 

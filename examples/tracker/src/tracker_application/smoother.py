@@ -35,7 +35,7 @@ class Smoother(Node):
         self._heard: float | None = None
         self._sent = (0.0, 0.0)
         self._remap = False
-        self._commands = self.create_publisher(TwistStamped, "cmd_vel", 1)
+        self._commands = self.create_publisher(TwistStamped, "cmd_vel", 10)
         self._input = self.create_subscription(TwistStamped, INPUT, self._hear, 1)
         self.create_timer(PERIOD, self._send)
 
