@@ -21,6 +21,8 @@ class Trigger(StrEnum):
     """A recovery that fenced the failed instance and waits for a limit to end."""
     DECIDED_RECOVERY = "DecidedRecovery"
     """A recovery that was decided on and has not started."""
+    INTERRUPTED_RECOVERY = "InterruptedRecovery"
+    """The gate is closed, and its record names a recovery of another monitor that has not ended."""
     INITIAL_ACTIVATION = "InitialActivation"
     """The gate is closed and no recovery is in progress."""
     REFLEX_TAKEOVER = "ReflexTakeover"
@@ -57,7 +59,9 @@ class Limit(StrEnum):
 class Requirement:
     """A requirement of a trigger that is not met."""
 
-    reason: Literal["NoPodRunning", "NoPodReady", "StillDriven", "NotHealthy", "FirstStrategyUnavailable"]
+    reason: Literal[
+        "RecoveryUnderWay", "NoPodRunning", "NoPodReady", "StillDriven", "NotHealthy", "FirstStrategyUnavailable"
+    ]
     words: str = ""
 
 
@@ -184,6 +188,7 @@ PLANNED = frozenset({Trigger.DEPENDENCY_RECOVERED, Trigger.SWITCHOVER_REQUESTED,
 TRIGGERS: tuple[TriggerRow, ...] = (
     TriggerRow(Trigger.HELD_RECOVERY, Recover),
     TriggerRow(Trigger.DECIDED_RECOVERY, Recover),
+    TriggerRow(Trigger.INTERRUPTED_RECOVERY, Recover),
     TriggerRow(Trigger.INITIAL_ACTIVATION, Activate),
     TriggerRow(Trigger.REFLEX_TAKEOVER, Recover),
     TriggerRow(Trigger.POD_LOST, Recover),
@@ -217,7 +222,7 @@ LIMITS: tuple[LimitRow, ...] = (
     LimitRow(Limit.UPSTREAM_FAILURE, frozenset({Trigger.HEALTH_FAILED}), Wait, "UpstreamFailure", "{words}"),
     LimitRow(
         Limit.PAUSE,
-        FAILURES | PLANNED | {Trigger.INITIAL_ACTIVATION},
+        FAILURES | PLANNED | {Trigger.INTERRUPTED_RECOVERY, Trigger.INITIAL_ACTIVATION},
         Defer,
         _PAUSED,
         "the monitor does nothing while the workload is {words}",
@@ -231,6 +236,7 @@ LIMITS: tuple[LimitRow, ...] = (
         _PAUSED,
         "the monitor does nothing while the workload is {words}",
     ),
+    LimitRow(_UNMET, frozenset({Trigger.INTERRUPTED_RECOVERY}), Wait, "RecoveryUnderWay", "{words}"),
     LimitRow(
         _UNMET, frozenset({Trigger.INITIAL_ACTIVATION}), Wait, "NoPodRunning", "no pod of the workload is running"
     ),

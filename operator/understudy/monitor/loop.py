@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.failover import switchover
-from understudy.failover.decide import Activate, Decision, Hold, Recover, SwitchOver, Wait
+from understudy.failover.decide import Activate, Decision, Hold, Recover, SwitchOver, Trigger, Wait
 from understudy.failover.progress import Progress
 from understudy.failover.strategies.base import StrategyContext
 from understudy.failover.switchover import Preparation
@@ -144,10 +144,16 @@ class MonitorLoop:
         if self.decide.limits.pauses.on is None and await self.act.leaks.respond(policy, now):
             return Resolution(Wait("GateClosed"))
         prepared = self._prepared_switchover(judgement)
-        resolution = self.decide.decide(policy, judgement, prepared)
+        resolution = self.decide.decide(policy, judgement, prepared, self._recovery_of_another())
         if resolution.candidates is not None:
             await self._while_closed(resolution.decision, resolution.candidates, now)
         return resolution
+
+    def _recovery_of_another(self) -> Progress | None:
+        """Return the recovery for which another monitor has closed the gate; None if there is none."""
+        if not self._gate.state.closed:
+            return None
+        return interrupted_recovery.unconcluded(self._gate, self._notices.status, self.act.abandonment.ids)
 
     def _prepared_switchover(self, judgement: Judgement) -> Preparation | None:
         """Return the planned switchover that can be carried out now or whose outcome is still open."""
@@ -163,19 +169,19 @@ class MonitorLoop:
 
     async def _while_closed(self, decision: Decision, candidates: Candidates, now: float) -> None:
         """Open the gate for the first candidate, or request a pod if none runs."""
-        self.report.status_conditions.none_active(candidates)
+        self.report.status_conditions.none_active(candidates, recovering=decision.reason == "RecoveryUnderWay")
         if decision.reason == "NoPodRunning":
             await self.act.opening.request_pod(now)
         elif isinstance(decision, Activate) and await self.act.opening.open(candidates.first):
             self.judge.detector.watch()
 
     async def resume(self) -> None:
-        """Finish what an earlier monitor began."""
+        """Finish what another monitor began."""
         abandoned = self.act.abandonment.ids
         journal, gate = self._journal.journal, self._gate
         interrupted = interrupted_recovery.interrupted(journal, gate, self._notices.status, abandoned)
         if interrupted is not None:
-            _logger.warning("finishing recovery %s, which an earlier monitor began", interrupted.id)
+            _logger.warning("finishing recovery %s, which another monitor began", interrupted.id)
             await self._senses.agents.settle(self._pods.of_workload(), SETTLE)
             if interrupted.switchover is None:
                 await self.carry_out(interrupted)
@@ -186,6 +192,9 @@ class MonitorLoop:
 
     async def carry_through(self, resolution: Resolution) -> None:
         """Carry out a recovery or a planned switchover that was decided on."""
+        if resolution.decision.trigger is Trigger.INTERRUPTED_RECOVERY:
+            await self.resume()
+            return
         if resolution.switch is not None:
             self.conclude(await self.act.switchovers.carry_out(resolution.switch))
             return

@@ -20,11 +20,13 @@ from understudy.failover.decide import (
     decide,
 )
 from understudy.failover.limits.state import ActiveLimit
+from understudy.failover.progress import Progress
 from understudy.failover.strategies.base import StrategyContext
 from understudy.failover.switchover import Preparation
 from understudy.monitor.decide.deferred_failures import DeferredFailures
 from understudy.monitor.decide.initial_activation import Candidates, InitialActivation
 from understudy.monitor.decide.limits import Limits
+from understudy.monitor.decide.recovery_of_another import RecoveryOfAnother
 from understudy.monitor.decide.strategy_options import StrategyOptions
 from understudy.monitor.judge.failure_detection import Failure
 from understudy.monitor.judge.stage import Judgement, JudgeStage
@@ -81,11 +83,22 @@ class DecideStage:
         self.options = StrategyOptions(view, self.limits.storms, context)
         self._deferred = DeferredFailures(notices)
         self._activation = InitialActivation(context.instances, agents)
+        self._other = RecoveryOfAnother(self.options)
 
-    def decide(self, policy: FailurePolicySpec, judgement: Judgement, prepared: Preparation | None) -> Resolution:
-        """Return what to do now. ``prepared`` is the planned switchover that can be carried out or whose outcome is still open."""
+    def decide(
+        self,
+        policy: FailurePolicySpec,
+        judgement: Judgement,
+        prepared: Preparation | None,
+        unconcluded: Progress | None = None,
+    ) -> Resolution:
+        """Return what to do now.
+
+        ``prepared`` is the planned switchover that can be carried out or whose outcome is still open; ``unconcluded`` is the recovery in
+        the gate's record, if it has not ended and is not of this monitor.
+        """
         if self._gate.state.closed:
-            return self._activate(policy, judgement.now)
+            return self._activate(policy, judgement.now, unconcluded)
         cases = list(self._cases(policy, judgement, prepared))
         if not cases:
             return Resolution(Wait("NothingDue"), deadline=judgement.deadline)
@@ -133,15 +146,17 @@ class DecideStage:
 
     # -- what could happen now --------------------------------------------------------------------------------------
 
-    def _activate(self, policy: FailurePolicySpec, now: float) -> Resolution:
+    def _activate(self, policy: FailurePolicySpec, now: float, unconcluded: Progress | None) -> Resolution:
         limits = self.limits.in_force(now)
         rightful = self.sole_driver.rightful
         candidates = self._activation.candidates(policy, now, paused=limits.pause is not None, rightful=rightful)
         unmet = candidates.unmet
         if unmet is None and policy.on_leak == "Close" and self.sole_driver.may_be_driven(now):
             unmet = Requirement("StillDriven")
-        occurrence = Occurrence(Trigger.INITIAL_ACTIVATION, unmet=unmet)
-        return Resolution(decide(Facts(now, (occurrence,), limits)), candidates=candidates)
+        other = self._other.occurrence(unconcluded)
+        first = Occurrence(Trigger.INITIAL_ACTIVATION, unmet=unmet)
+        facts = Facts(now, (first,) if other is None else (other, first), limits)
+        return Resolution(decide(facts), candidates=candidates)
 
     def _cases(self, policy: FailurePolicySpec, judgement: Judgement, prepared: Preparation | None) -> Iterator[_Case]:
         """Return every trigger that is present. ``failover/decide.py`` says which one comes first."""

@@ -49,9 +49,9 @@ class StatusConditions:
         if judgement.settled and self._notices.status.reason("Recovering") not in ("", "Recovered", "HealthyAgain"):
             self._notices.condition("Recovering", "False", "HealthyAgain", f"{state.active} is healthy again.")
 
-    def none_active(self, candidates: Candidates) -> None:
-        """Report that the gate is closed and no recovery is in progress."""
-        health: Health = "Starting" if candidates.running else "Unknown"
+    def none_active(self, candidates: Candidates, *, recovering: bool = False) -> None:
+        """Report that the gate is closed; ``recovering`` is whether another monitor carries out a recovery."""
+        health: Health = "Recovering" if recovering else "Starting" if candidates.running else "Unknown"
         if self._sole_driver.leaks:
             health = "Failed"
         self._notices.set(active="", health=health, gate=GateStatus(epoch=self._gate.state.epoch))

@@ -75,6 +75,7 @@ async def test_opening_the_gate_after_a_failed_recovery_keeps_the_list_of_failed
     failed = [PodIdentity(name="w-0", uid="uid-0"), PodIdentity(name="w-1", uid="uid-1")]
     left = Progress.begin("it ended", last_healthy=0.0, detected=0.0, failed=failed)
     closed = Closed(tmp_path, ACTIVE, left=left)
+    closed.objects.notices.record(left.model_copy(update={"result": "Failed"}))
     assert await closed.look(1000.0)
     ((target, progress),) = closed.objects.commits
     assert target == "w-1"

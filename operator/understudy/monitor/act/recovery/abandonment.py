@@ -18,10 +18,11 @@ import logging
 import time
 
 from understudy.failover.abandoned import AbandonedRecovery
-from understudy.failover.progress import LASTS, Committed, Progress, beside, under_way
+from understudy.failover.progress import LASTS, Progress, beside
 from understudy.monitor.act.objects.gate_control import GateControl
 from understudy.monitor.act.recovery.recovery_journal import RecoveryJournal
 from understudy.monitor.notices import Notices
+from understudy.monitor.observe.objects import interrupted_recovery
 
 _logger = logging.getLogger(__name__)
 
@@ -71,13 +72,9 @@ class Abandonment:
     def _is_left(self, text: str) -> bool:
         """Return whether this recovery was left behind: its monitor would have recorded it by now, because the active instance has been
         healthy for LASTS seconds."""
-        found, driven = self._gate.state.recovery, self._notices.status.health in ("Healthy", "Degraded")
+        driven = self._notices.status.health in ("Healthy", "Degraded")
         # Switchovers are concluded elsewhere (understudy.monitor.act.recovery.planned_switchover).
-        if (
-            found is None
-            or found.switchover is not None
-            or not under_way(Committed.of(found), self._notices.status.listed)
-        ):
+        if interrupted_recovery.unconcluded(self._gate, self._notices.status) is None:
             text = ""
         now = time.monotonic()
         if not driven or not text or self._left[0] != text:

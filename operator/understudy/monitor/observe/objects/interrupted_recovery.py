@@ -1,4 +1,4 @@
-"""Finds the last recovery of an earlier monitor: one to continue, or one that has ended.
+"""Finds the last recovery of another monitor: one to continue, one that is under way, or one that has ended.
 
 A recovery is recorded in three places, one after the other: the journal, the gate and the workload's status.
 """
@@ -10,7 +10,7 @@ from datetime import datetime
 
 from understudy.failover.interfaces import Gate
 from understudy.failover.journal import Journal
-from understudy.failover.progress import Progress
+from understudy.failover.progress import Committed, Progress, under_way
 from understudy.monitor.notices import PublishedStatus
 
 
@@ -35,6 +35,17 @@ def interrupted(
     if committed is not None and committed.id != progress.id and committed in open_ones:
         progress = committed  # the journal has an older recovery than the gate
     return progress.model_copy(update={"resumed": True}, deep=True)
+
+
+def unconcluded(gate: Gate, published: PublishedStatus, given_up: Collection[str] = ()) -> Progress | None:
+    """Return the recovery in the gate's record, if no monitor has recorded its end; None if there is none.
+
+    While this monitor recovers nothing, another monitor carries it out, or did until it stopped. A planned switchover does not count.
+    """
+    found = gate.state.recovery
+    if found is None or found.switchover is not None or found.id in given_up:
+        return None
+    return found if under_way(Committed.of(found), published.listed) else None
 
 
 def concluded(gate: Gate, published: PublishedStatus) -> Progress | None:
