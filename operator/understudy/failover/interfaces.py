@@ -37,6 +37,10 @@ class Superseded(Exception):
     """Another writer committed to the gate at a newer epoch: an action at an older epoch must stop."""
 
 
+class NoLongerNeeded(Exception):
+    """The failed instance is healthy again, and the recovery has changed nothing yet."""
+
+
 class ClaimLost(Exception):
     """Another workload's claim on the pod was first."""
 

@@ -67,6 +67,8 @@ class Progress(Model):
     """Which kept state was restored in the present attempt."""
     waiting: Waiter | None = None
     """Its place in the queue for a pod of a shared pool, while it waits. Other workloads read it next to the gate."""
+    healthy_again: bool = Field(default=False, exclude=True)
+    """Whether the instance whose failure began the recovery is healthy by what was received since then. Counts until the first commit."""
 
     @classmethod
     def begin(

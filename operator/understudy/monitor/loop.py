@@ -215,7 +215,8 @@ class MonitorLoop:
         """Carry a recovery out once the limits allow it, unless there is nothing left to protect."""
         self._black_box.begin(progress)
         try:
-            outcome = await self._carried_out(progress)
+            async with self.judge.reassessment.during(progress):
+                outcome = await self._carried_out(progress)
         finally:
             self._black_box.end(progress)
         self.conclude(outcome)
@@ -246,7 +247,10 @@ class MonitorLoop:
         """Report the outcome of a recovery or a switchover, and let every stage remember it."""
         if outcome is None:
             return
-        self.judge.detector.restart(outcome.committed)
+        if outcome.kind == "NoLongerNeeded":
+            self.judge.detector.well()  # the instance is judged by what it has sent all the time
+        else:
+            self.judge.detector.restart(outcome.committed)
         if not outcome.concluded:
             self.report.recovery.abandoned(outcome)
         else:

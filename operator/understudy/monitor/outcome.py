@@ -8,13 +8,16 @@ from typing import Literal
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.failover.progress import Progress
 
-Kind = Literal["Recovered", "NothingVerified", "Superseded", "Stopped", "SwitchedOver", "NotSwitchedOver"]
+Kind = Literal[
+    "Recovered", "NothingVerified", "Superseded", "Stopped", "NoLongerNeeded", "SwitchedOver", "NotSwitchedOver"
+]
 
 
 @dataclass(frozen=True)
 class Outcome:
     """How a recovery ended: an instance took over, no strategy was verified, another writer of the gate was first (Superseded), or
-    the API server refused something (Stopped). Or how a planned switchover ended: the understudy took over, or the gate was
+    the API server refused something (Stopped), or the failed instance was healthy again before anything was changed
+    (NoLongerNeeded). Or how a planned switchover ended: the understudy took over, or the gate was
     opened for the former instance again.
     """
 
@@ -23,12 +26,12 @@ class Outcome:
     policy: FailurePolicySpec | None = None
     """The policy of the recovery. None for switchovers, and for a recovery that ended before its first strategy."""
     error: Exception | None = None
-    """Why the recovery was stopped or superseded."""
+    """Why the recovery was stopped, superseded or not needed."""
 
     @property
     def concluded(self) -> bool:
         """Whether the recovery was carried out to its end, so that the status lists it."""
-        return self.kind not in ("Superseded", "Stopped")
+        return self.kind not in ("Superseded", "Stopped", "NoLongerNeeded")
 
     @property
     def driven(self) -> bool:

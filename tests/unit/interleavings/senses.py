@@ -62,6 +62,10 @@ class HealthObserver:
 
     last_well = last_from
 
+    def new_process(self, pod: str, *, since: float) -> bool:
+        found = self._named(pod)
+        return found is None or found.up_at is None or found.up_at >= since
+
     def _received_since(self, since: float) -> float | None:
         last = self.last_from(self._active)
         return last if last is not None and last >= since else None

@@ -72,6 +72,8 @@ class GivenObserver(HealthObserver):
         """When an output was last received from each pod."""
         self.received: dict[tuple[str, str], list[float]] = {}
         """When each topic was received from each pod, of late."""
+        self.restarted: set[str] = set()
+        """Pods whose writers are of a new process."""
         self.twins: set[str] = set()
         """Pods that cannot be distinguished from others."""
         self.senders: list[KnownSender] = []
@@ -121,6 +123,9 @@ class GivenObserver(HealthObserver):
 
     def arrivals(self, topic: str, pod: str) -> Sequence[float]:
         return self.received.get((topic, pod), [])
+
+    def new_process(self, pod: str, *, since: float) -> bool:
+        return pod in self.restarted
 
     def ambiguous(self, pod: str) -> bool:
         return pod in self.twins

@@ -210,6 +210,29 @@ def test_a_frozen_publisher_is_detected_at_the_deadline(watching, processes, eve
     assert 0 <= now - (verdict.onset + 0.2) < 0.5  # the bench measures it; here a busy machine must not matter
 
 
+def test_a_restarted_publisher_has_a_newer_writer_and_a_frozen_one_has_not(watching, processes, eventually):
+    watching.follow([WatchedTopic("/chat", STRING, 5.0, None)])
+
+    def heard(number):
+        before = watching.topic("/chat").count
+        eventually(lambda: watching.drain() and watching.topic("/chat").count > before + number)
+
+    publisher = processes.node("publish", "/chat", "50")
+    heard(5)
+    (source,) = watching.records("/chat").values()
+    first = source.newest_writer
+    publisher.send_signal(signal.SIGSTOP)
+    watch(watching, 0.5)
+    publisher.send_signal(signal.SIGCONT)
+    heard(5)
+    assert source.newest_writer == first
+    publisher.kill()
+    publisher.wait()
+    processes.node("publish", "/chat", "50")
+    heard(20)
+    assert source.newest_writer > first
+
+
 STATUS = "/count/_action/status"
 
 

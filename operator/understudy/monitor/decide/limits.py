@@ -27,7 +27,7 @@ class Limits:
     def conclude(self, outcome: Outcome) -> None:
         """Count a recovery that is over, and defer the next one. A planned switchover does not defer the next recovery."""
         progress, policy = outcome.progress, outcome.policy
-        if outcome.kind == "Superseded":
+        if outcome.kind in ("Superseded", "NoLongerNeeded"):
             self.retries.after(0.0)
         elif outcome.kind == "Stopped":
             self.retries.after_error()

@@ -12,6 +12,7 @@ from understudy.failover.interfaces import Gate, Instance, Instances
 from understudy.monitor.judge.degradation_level import DegradationLevel
 from understudy.monitor.judge.failure_detection import Failure, FailureDetector
 from understudy.monitor.judge.gate_enforcement import GateEnforcement
+from understudy.monitor.judge.reassessment import Reassessment
 from understudy.monitor.judge.reflex_takeover import ReflexTakeover
 from understudy.monitor.judge.situation_tracking import SituationTracking
 from understudy.monitor.judge.sole_driver import SoleDriver
@@ -58,6 +59,7 @@ class JudgeStage:
         self.takeover = ReflexTakeover(view, gate, senses.observer)
         self.levels = DegradationLevel(senses.observer, notices)
         self.situations = SituationTracking(senses.observer, notices)
+        self.reassessment = Reassessment(pods, senses.observer)
         self.enforcement = GateEnforcement(gate, senses.probes, notices, senses.readership)
         self.sole_driver = SoleDriver(gate, senses.probes, senses.observer, notices)
 

@@ -35,8 +35,14 @@ class RecoveryReport:
         _logger.warning("%s of %s: %s", what, self._gate.state.active, failure.reason)
 
     def abandoned(self, outcome: Outcome) -> None:
-        """Report that a recovery was superseded or stopped."""
+        """Report that a recovery was superseded, stopped or not needed."""
         progress, error, superseded = outcome.progress, outcome.error, outcome.kind == "Superseded"
+        if outcome.kind == "NoLongerNeeded":
+            words = f"nothing was changed, because {error} ({progress.reason})"
+            _logger.warning("recovery %s ended: %s", progress.id, words)
+            self._notices.condition("Recovering", "False", "HealthyAgain", f"{words[0].upper()}{words[1:]}.")
+            self._notices.event("Normal", "RecoveryNotNeeded", words)
+            return
         if superseded:
             _logger.warning("recovery %s given up: %s", progress.id, error)
         else:

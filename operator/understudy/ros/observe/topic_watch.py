@@ -83,7 +83,7 @@ def depth(topic: WatchedTopic) -> int:
 class SourceRecord(TopicRecord):
     """The samples received on one topic from one host."""
 
-    __slots__ = ("accepted", "lost", "sequences")
+    __slots__ = ("accepted", "lost", "newest_writer", "sequences")
 
     def __init__(self, window: float, contents: int = 0) -> None:
         super().__init__(window, contents)
@@ -94,12 +94,20 @@ class SourceRecord(TopicRecord):
         numbers."""
         self.sequences: dict[bytes, int] = {}
         """The last sequence number of each of the host's writers, by GID."""
+        self.newest_writer = 0.0
+        """When the first sample of the writer that is newest here was received."""
 
-    def number(self, gid: bytes, sequence: int) -> bool:
+    def shift(self, seconds: float) -> None:
+        """Move all times by ``seconds``."""
+        super().shift(seconds)
+        self.newest_writer += seconds
+
+    def number(self, gid: bytes, sequence: int, received: float) -> bool:
         """Note a sample's sequence number. Returns whether numbers are missing before it."""
         before = self.sequences.get(gid)
         missing = before is not None and sequence > before + 1
         if before is None:
+            self.newest_writer = received
             if len(self.sequences) >= MOST_WRITERS:
                 self.sequences.clear()
         elif missing:
@@ -413,7 +421,7 @@ class TopicWatch:
                     track.add(received, sent, sequence, data or self._taker.data())
                 source = sources.get(MIDDLEWARE.host_of(gid)) or self._new_source(topic, MIDDLEWARE.host_of(gid))
                 source.add(received)
-                if source.number(gid, sequence) and losing:
+                if source.number(gid, sequence, received) and losing:
                     source.observed_since = received
                     if source.accepted:
                         topic.counted.observed_since = received
@@ -539,6 +547,11 @@ class TopicWatch:
         """
         record = self._record_of(name, pod)
         return record.arrivals if record is not None else ()
+
+    def newest_writer(self, name: str, pod: str) -> float:
+        """Return when the first sample of a pod's newest writer of a topic was received; 0 if no sample was."""
+        record = self._record_of(name, pod)
+        return record.newest_writer if record is not None else 0.0
 
     def first_from(self, name: str, pod: str, *, since: float) -> float | None:
         """Return when a topic was first received from a pod at or after a time, which must be within HISTORY."""

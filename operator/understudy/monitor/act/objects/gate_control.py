@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from understudy.api import names
 from understudy.failover import pinned
 from understudy.failover.abandoned import AbandonedRecovery, ended
-from understudy.failover.interfaces import GateState, Instance, Superseded
+from understudy.failover.interfaces import GateState, Instance, NoLongerNeeded, Superseded
 from understudy.failover.pinned import PinnedPod
 from understudy.failover.progress import Progress, beside
 from understudy.kube import claims
@@ -94,7 +94,7 @@ class GateControl:
 
         Tries again until the API server answers. Raises ApiError if it refuses, and Superseded if the gate does not exist or
         another writer changed it: during this commit, since the last commit of this recovery, or for a pod that this recovery
-        is not about.
+        is not about. Raises NoLongerNeeded if the instance that it would fence is healthy again.
         """
         previous = self.record
         if previous is None:
@@ -112,6 +112,7 @@ class GateControl:
         let_through = self._pinned(previous, target)
         asked = time.monotonic()
         while True:
+            self._still_needed(record, progress)
             try:
                 patch = self._kind.commitment(
                     workload,
@@ -181,6 +182,14 @@ class GateControl:
         named = [PinnedPod(name=i.name, uid=i.uid, ip=i.ip) for i in (target, active) if i is not None]
         pods = pinned.with_pods(pinned.read(over.let_through), *named)
         return pinned.write(pods) if pods else ""
+
+    def _still_needed(self, record: GateRecord, progress: Progress | None) -> None:
+        """Raise NoLongerNeeded if a recovery would begin by fencing an instance that is healthy again."""
+        if progress is None or not progress.healthy_again or record.active_uid != progress.failed[0].uid:
+            return
+        begun = beside(record.recovery)
+        if begun is None or begun.id != progress.id:
+            raise NoLongerNeeded(f"{record.active} has been healthy again since the API server could not be reached")
 
     async def admit(self, standby: Instance | None) -> bool:
         """Let a standby through beside the active pod, or no standby (None). Returns whether the gate was written.

@@ -9,7 +9,7 @@ import aiohttp
 
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.failover import reflex
-from understudy.failover.interfaces import Superseded
+from understudy.failover.interfaces import NoLongerNeeded, Superseded
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.protocol import recover
 from understudy.failover.strategies.base import Choice
@@ -28,15 +28,17 @@ from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.objects import dependencies
 from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.objects.dependencies import following
-from understudy.monitor.outcome import Outcome
+from understudy.monitor.outcome import Kind, Outcome
 
 _logger = logging.getLogger(__name__)
 
 REFLEX_WITHIN = 10.0
 """Seconds within which a standby that took over by the reflex must be seen to drive alone, after the gate opens for it."""
 
-ENDS = (Superseded, ApiError, aiohttp.ClientError, OSError)
-"""Errors that end a recovery before every strategy was tried: another writer of the gate, or an API server that refuses or is away."""
+ENDS = (Superseded, NoLongerNeeded, ApiError, aiohttp.ClientError, OSError)
+"""Errors that end a recovery before every strategy was tried: another writer of the gate, an instance that is healthy again, or an API
+server that refuses or is away.
+"""
 
 
 class RecoveryStart:
@@ -115,7 +117,8 @@ class RecoveryRunner:
         may be healthy again, or another one may be active.
         """
         self._abandonment.abandon(progress)
-        return Outcome("Superseded" if isinstance(error, Superseded) else "Stopped", progress, error=error)
+        kinds: dict[type[Exception], Kind] = {Superseded: "Superseded", NoLongerNeeded: "NoLongerNeeded"}
+        return Outcome(kinds.get(type(error), "Stopped"), progress, error=error)
 
     async def _recovered(self, progress: Progress, choices: Sequence[Choice]) -> Progress:
         context = self._options.context()

@@ -282,6 +282,10 @@ class HealthObserver:
         """Return when a topic was recently received from a pod, in Unix seconds."""
         return self._watching.arrivals(topic, pod)
 
+    def new_process(self, pod: str, *, since: float) -> bool:
+        """Return whether a writer of a gated topic in a pod was first heard at or after a time (Unix seconds), as after a restart."""
+        return any(self._watching.newest_writer(topic, pod) >= since for topic in self.gated)
+
     def ambiguous(self, pod: str) -> bool:
         """Return whether a pod's samples cannot be distinguished from those of another instance."""
         return any(pod in names for names in self._watching.sources.ambiguous)
