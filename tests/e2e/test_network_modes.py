@@ -47,7 +47,7 @@ class Mode:
 
     Attributes:
         options: of `scripts/cluster network`.
-        fenced: seconds for which a fenced instance may still drive.
+        fenced: seconds for which a fenced instance may still drive. Its pod is not deleted, because a fence pauses the workload.
         both: seconds for which both instances may drive after a planned switchover.
         undeleted: the same if the former pod cannot be ended.
         vanished: seconds for which an active pod drives on whose object is deleted by force while it cannot be ended. While it does, nobody
@@ -66,9 +66,9 @@ class Mode:
 MODES = {
     "as it should be": Mode((), fenced=0, both=0, undeleted=0, vanished=0, leak=False),
     "established flows live on": Mode(
-        ("--established",), fenced=LEAK, both=ENDED, undeleted=LEAK, vanished=0, leak=True
+        ("--established",), fenced=ALWAYS, both=ENDED, undeleted=LEAK, vanished=0, leak=True
     ),
-    "deaf": Mode(("--deaf",), fenced=LEAK, both=ENDED, undeleted=LEAK, vanished=ALWAYS, leak=True),
+    "deaf": Mode(("--deaf",), fenced=ALWAYS, both=ENDED, undeleted=LEAK, vanished=ALWAYS, leak=True),
     "lags by 600 ms": Mode(("--lag", "600"), fenced=LAG, both=LAG, undeleted=LAG, vanished=LAG, leak=False),
     # A fence and a switchover change policies before a pod goes.
     "vanished pods keep their policy": Mode(
