@@ -137,11 +137,14 @@ class MonitorLoop:
         if not self._gate.exists:
             self._notices.set(health="Unknown")
             return Resolution(Wait("NoGate"))
+        paused = self.decide.limits.pauses.on is not None
+        if not paused:
+            await self.act.restore_routing()
         judgement = self.judge.judge(policy, now, self.observe.schedule.trusted_from)
         self.report.judged(judgement)
         self.decide.judged(judgement)
         self.act.judged(judgement)
-        if self.decide.limits.pauses.on is None and await self.act.leaks.respond(policy, now):
+        if not paused and await self.act.leaks.respond(policy, now):
             return Resolution(Wait("GateClosed"))
         prepared = self._prepared_switchover(judgement)
         resolution = self.decide.decide(policy, judgement, prepared, self._recovery_of_another())

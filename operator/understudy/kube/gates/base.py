@@ -99,6 +99,10 @@ class GateKind(ABC):
         """Return the names of the instances that a gate object lets through, whatever its record says."""
 
     @abstractmethod
+    def routing_repair(self, gate: Object, workload: str, active: str, admitted: str = "") -> Object:
+        """Return merge patch fields after which a gate object lets these instances through and nobody else; empty if it does."""
+
+    @abstractmethod
     def ungateable(self, pod_spec: Mapping[str, Any]) -> str:
         """Return why this kind cannot gate the outputs of pods with this spec, beginning with the field; empty if it can."""
 

@@ -88,6 +88,10 @@ class ActStage:
         self._labels.follow(instances)
         self._senses.agents.follow(instances)
 
+    async def restore_routing(self) -> None:
+        """Undo what somebody else changed in whom the gate lets through."""
+        await self._cluster.gate.restore_routing()
+
     def supervise_standbys(self, policy: FailurePolicySpec, *, paused: bool) -> None:
         """Bring instances up, give them state, and delete what recoveries left behind. Returns at once."""
         view = self._cluster.view

@@ -10,6 +10,7 @@ import pytest
 from tests.unit.kube.memory import MemoryClient
 from tests.unit.monitor.cluster_objects import ClusterObjects
 from tests.unit.monitor.gates import gate as open_gate
+from understudy.api import names
 from understudy.failover import pinned
 from understudy.failover.interfaces import GateState, Instance, Superseded
 from understudy.failover.progress import PodIdentity, Progress
@@ -170,3 +171,43 @@ def test_the_list_of_identities_is_bounded_and_an_invalid_one_is_ignored() -> No
     assert [pod.uid for pod in kept] == [pod.uid for pod in reversed(pods[-pinned.MOST :])]
     assert pinned.read(pinned.write(kept)) == kept
     assert pinned.read("[{") == pinned.read("") == ()
+
+
+EDITS: list[Object] = [
+    {"matchLabels": {names.INSTANCE: "w-2"}},
+    {"matchLabels": None},
+    {"matchLabels": {"app": "other"}},
+    {"matchExpressions": [{"key": "app", "operator": "Exists"}]},
+]
+
+
+@pytest.mark.parametrize("edit", EDITS)
+@pytest.mark.parametrize("state", [GateState(epoch=4, active="w-1", active_uid="u1"), GateState(epoch=4)])
+async def test_a_gate_that_somebody_edited_lets_through_again_whom_its_record_names(
+    state: GateState, edit: Object
+) -> None:
+    objects = ClusterObjects()
+    objects.put_gate(state)
+    view, kind = objects.view, objects.view.gate_kind
+    assert view.gate_object is not None
+    before = view.gate_object["spec"]
+    edited = await objects.client.patch(
+        kind.resource, view.namespace, objects.gate_name, {"spec": {"podSelector": edit}}
+    )
+    view.gates.put(edited)
+    assert await objects.gate.restore_routing()
+    assert view.gate_object["spec"] == before
+    assert objects.gate.state.epoch == 4
+    assert "GateRestored" in objects.notices.reasons
+    assert not await objects.gate.restore_routing(), "once is enough"
+
+
+async def test_a_gate_that_nobody_edited_is_not_written() -> None:
+    objects = ClusterObjects()
+    for state in (
+        GateState(epoch=4),
+        GateState(epoch=4, active="w-1", active_uid="u1"),
+        GateState(epoch=4, active="w-1", active_uid="u1", admitted="w-2", admitted_uid="u2"),
+    ):
+        objects.put_gate(state)
+        assert not await objects.gate.restore_routing()

@@ -48,6 +48,16 @@ class NetworkPolicyGate(GateKind):
                 values += expression["values"]
         return tuple(value for value in values if value and value != names.GATE_CLOSED)
 
+    def routing_repair(self, gate: Object, workload: str, active: str, admitted: str = "") -> Object:
+        """Return merge patch fields of the pod selector, without what somebody added to it; empty if the selector is right."""
+        selector = gate["spec"].get("podSelector") or {}
+        wanted: Object = self.routing(workload, active, admitted)["spec"]["podSelector"]
+        labels = {key: value for key, value in wanted["matchLabels"].items() if value}
+        present = (selector.get("matchLabels") or {}, selector.get("matchExpressions") or None)
+        if present == (labels, wanted["matchExpressions"]):
+            return {}
+        return {"spec": {"podSelector": wanted | {"matchLabels": dict.fromkeys(present[0]) | labels}}}
+
     def ungateable(self, pod_spec: Mapping[str, Any]) -> str:
         """Return why no policy applies to such pods; empty if policies do."""
         if pod_spec.get("hostNetwork"):

@@ -214,6 +214,30 @@ class GateControl:
         self._view.gates.put(gate)
         return True
 
+    async def restore_routing(self) -> bool:
+        """Let those through again whom the record names, if somebody edited the gate. Returns whether the gate was written.
+
+        Control does not change, so the epoch stays. A failed write is not repeated, as in :meth:`admit`.
+        """
+        record, gate = self.record, self._view.gate_object
+        if record is None or gate is None:
+            return False
+        fields = self._kind.routing_repair(gate, self._view.workload, record.active, record.admitted)
+        if not fields:
+            return False
+        patch = {"metadata": {"resourceVersion": record.version}} | fields
+        try:
+            async with asyncio.timeout(TRY_WITHIN):
+                gate = await self._kind.write(self._client, self._view.namespace, self._view.workload, patch)
+        except FAILURES as error:
+            _logger.warning("could not restore whom the gate lets through: %r", error)
+            return False
+        self._view.gates.put(gate)
+        words = f"the gate did not let through {record.active or 'nobody'}, as its record says: somebody had edited it"
+        _logger.warning("restored the gate: %s", words)
+        self._notices.event("Warning", "GateRestored", words)
+        return True
+
     def left_by(self, recovery: str) -> AbandonedRecovery | None:
         """Return the record that a recovery (given by its id) has left at the gate or may still leave there; None if there is none."""
         id_, epoch, sent = self._own

@@ -158,10 +158,14 @@ class ClusterView:
         return self.workloads.items.get(self.workload)
 
     @property
+    def gate_object(self) -> Object | None:
+        """The workload's gate object, as last seen or committed; None if there is none."""
+        return self.gates.items.get(names.gate(self.workload))
+
+    @property
     def gate_record(self) -> GateRecord | None:
         """The record of the workload's gate, as last seen or committed; None if there is no gate object."""
-        gate = self.gates.items.get(names.gate(self.workload))
-        return GateRecord.of(gate) if gate is not None else None
+        return GateRecord.of(gate) if (gate := self.gate_object) is not None else None
 
     @property
     def retired(self) -> bool:
