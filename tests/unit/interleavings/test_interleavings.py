@@ -27,7 +27,7 @@ from understudy.monitor.act.instances.garbage_collection import GarbageCollectio
 from understudy.monitor.act.recovery.abandonment import Abandonment
 from understudy.monitor.report.status_writer import StatusWriter
 
-RUNS, CHUNK = 250, 25
+RUNS, CHUNK = 125, 25
 """The short share; seeds from 100,000 on, which scripts/bench doesn't run by itself."""
 FIRST = 100_000
 

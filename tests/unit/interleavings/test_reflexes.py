@@ -27,7 +27,7 @@ from understudy.kube.gates.kinds.network_policy import GATE
 from understudy.monitor.act.gate import permits
 from understudy.monitor.act.gate.reflex_guard import ReflexGuard
 
-FIRST, RUNS, CHUNK = 1_100_000, 80, 16
+FIRST, RUNS, CHUNK = 1_100_000, 48, 16
 """Seeds that scripts/bench doesn't run by itself."""
 
 ALONE, _, TWO = SCENES

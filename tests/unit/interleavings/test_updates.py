@@ -15,7 +15,7 @@ STRATEGIES: dict[str, tuple[tuple[str, str | int], ...]] = {
     "none-ready": (("minReady", 0),),
 }
 TROUBLES = ("one_fails", "all_fail", "template_changes", "pool_is_resized", "node", "operator_dies", "somebody_stalls")
-FIRST, RUNS = 200_000, 12
+FIRST, RUNS = 200_000, 8
 
 
 @pytest.mark.parametrize("name", STRATEGIES)
