@@ -102,6 +102,14 @@ class TestInstances:
         assert found.startswith("spec.template.spec")
         assert word in found
 
+    def test_a_template_with_further_interfaces_is_refused_because_they_bypass_the_gate(self) -> None:
+        annotations = {"k8s.v1.cni.cncf.io/networks": "robot-lan"}
+        template = {"metadata": {"annotations": annotations}, "spec": {"containers": [{"name": "a"}]}}
+        found = instance_pod.problem(template, held=False, path="spec.template")
+        assert found is not None
+        assert found.startswith("spec.template.metadata.annotations[k8s.v1.cni.cncf.io/networks]")
+        assert "Remove it" in found
+
 
 class TestPolicies:
     def test_the_short_form_of_a_policy_lists_its_strategies(self) -> None:

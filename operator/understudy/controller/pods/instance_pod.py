@@ -97,9 +97,9 @@ def problem(template: Mapping[str, Any], *, held: bool, path: str, gate: GateKin
     """
     if words := template_shape.problem(template, path):
         return words
+    if words := gate.ungateable(template):
+        return f"{path}.{words}"
     spec = template.get("spec") or {}
-    if words := gate.ungateable(spec):
-        return f"{path}.spec.{words}"
     containers = spec.get("containers") or []
     if not containers:
         return f"{path}.spec.containers is empty: give at least one container"

@@ -103,8 +103,8 @@ class GateKind(ABC):
         """Return merge patch fields after which a gate object lets these instances through and nobody else; empty if it does."""
 
     @abstractmethod
-    def ungateable(self, pod_spec: Mapping[str, Any]) -> str:
-        """Return why this kind cannot gate the outputs of pods with this spec, beginning with the field; empty if it can."""
+    def ungateable(self, template: Mapping[str, Any]) -> str:
+        """Return why this kind cannot gate the outputs of pods of a template, beginning with the field; empty if it can."""
 
     # -- What the operator creates ------------------------------------------------------------------------------------
 

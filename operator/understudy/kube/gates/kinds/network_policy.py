@@ -21,6 +21,9 @@ from understudy.kube.gates.unclaimed_pod_policy import network_policy
 
 _LAST_PORT = 65535
 
+_NETWORKS = "k8s.v1.cni.cncf.io/networks"
+"""The annotation with which Multus and similar network plugins give a pod further interfaces."""
+
 _OPEN: Object = {"policyTypes": ["Egress"], "egress": [{}]}
 
 
@@ -58,12 +61,17 @@ class NetworkPolicyGate(GateKind):
             return {}
         return {"spec": {"podSelector": wanted | {"matchLabels": dict.fromkeys(present[0]) | labels}}}
 
-    def ungateable(self, pod_spec: Mapping[str, Any]) -> str:
-        """Return why no policy applies to such pods; empty if policies do."""
-        if pod_spec.get("hostNetwork"):
+    def ungateable(self, template: Mapping[str, Any]) -> str:
+        """Return why no policy applies to such pods, or not on each of their interfaces; empty if policies do."""
+        if (template.get("spec") or {}).get("hostNetwork"):
             return (
-                "hostNetwork is true: NetworkPolicies do not apply to a pod in its node's network, so its outputs cannot be gated. "
+                "spec.hostNetwork is true: NetworkPolicies do not apply to a pod in its node's network, so its outputs cannot be gated. "
                 "Set it to false"
+            )
+        if ((template.get("metadata") or {}).get("annotations") or {}).get(_NETWORKS):
+            return (
+                f"metadata.annotations[{_NETWORKS}] gives the pod further interfaces, and NetworkPolicies apply to that of the pod "
+                "network only: a standby could reach the robot by another one. Remove it, and reach the robot by the pod network"
             )
         return ""
 
