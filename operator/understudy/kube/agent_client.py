@@ -215,6 +215,8 @@ class AgentLink:
             raise AgentGone(f"agent {self.host}: no answer to {op} within {within:g} s") from None
         finally:
             self._answers.pop(number, None)
+            if answer.done() and not answer.cancelled():
+                answer.exception()  # if the connection was lost before anybody waited for it, asyncio would log a traceback
         if "error" in message:
             raise AgentRefused(f"agent {self.pod or self.host}: {op}: {message['error']}")
         return message

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import gc
 import time
 
 import pytest
@@ -157,6 +158,28 @@ async def test_a_lost_connection_fails_pending_requests_at_once(agent, link):
     agent.follow = send_forever
     await link.wait_connected(2)
     assert agent.sessions >= 2
+
+
+async def test_a_connection_lost_while_a_request_is_sent_leaves_no_traceback(agent, link, monkeypatch):
+    reported = []
+    asyncio.get_running_loop().set_exception_handler(lambda loop, context: reported.append(context["message"]))
+    await link.wait_connected(2)
+    drain = asyncio.StreamWriter.drain
+
+    async def lose(writer):
+        """The connection ends while the request is written, and the link notices that before the request does."""
+        monkeypatch.setattr(asyncio.StreamWriter, "drain", drain)
+        writer.transport.abort()
+        while link.connected:
+            await asyncio.sleep(0)
+        raise ConnectionResetError
+
+    monkeypatch.setattr(asyncio.StreamWriter, "drain", lose)
+    with pytest.raises(AgentGone):
+        await link.request("start", {})
+    gc.collect()
+    await asyncio.sleep(0)
+    assert not reported
 
 
 async def test_a_silent_agent_counts_as_disconnected(agent, link, changes, monkeypatch):
