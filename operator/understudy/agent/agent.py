@@ -124,33 +124,19 @@ class Agent:
 
     def refuses(self, workload: str, claim: str) -> str | None:
         """Return why a monitor may not command this pod; None if it may."""
-        mine = self._identity.workload
-        if mine and workload != mine:
-            return f"pod {self._identity.pod} is an instance of {mine}, not of {workload}"
-        if mine or not self._memory.workload:
-            return None
-        if (workload, claim) != (self._memory.workload, self._memory.claim):
-            return f"pod {self._identity.pod} is claimed by {self._memory.workload} ({self._memory.claim})"
-        return None
+        return self._memory.refuses(self._identity.pod, self._identity.workload, workload, claim)
 
     def outdated(self, epoch: GateEpoch) -> str | None:
         """Why a request of this epoch may not be carried out; None if it may. Remembers the newest epoch.
 
         A pod that nobody has claimed has no epoch yet: the requests of all workloads count until one claims it.
         """
-        memory = self._memory
-        if self.held or (epoch.workload_uid, epoch.number) == (memory.workload_uid, memory.epoch):
+        if self.held:
             return None
-        same = epoch.workload_uid == memory.workload_uid or not epoch.workload_uid
-        if same and epoch.number < memory.epoch:
-            return (
-                f"the request is of epoch {epoch.number} of the gate, and this agent knows epoch {memory.epoch}: another "
-                "monitor has switched the gate since"
-            )
-        if epoch.workload_uid:
-            memory.workload_uid, memory.epoch = epoch.workload_uid, epoch.number
+        reason = self._memory.outdated(epoch)
+        if reason is None and self._memory.learn(epoch):
             self._save()
-        return None
+        return reason
 
     def status(self) -> AgentStatus:
         """Return the state of the instance."""

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from understudy.agent.held_containers import write_atomically
+from understudy.api.protocol.agent_messages import GateEpoch
 
 _logger = logging.getLogger(__name__)
 
@@ -47,6 +48,36 @@ class AgentMemory:
         It is that of the robot's graph, overridden by the container's own.
         """
         return {name: {**self.ros, **self.environment.get(name, {})} for name in containers}
+
+    def refuses(self, pod: str, owner: str, workload: str, claim: str) -> str | None:
+        """Return why a monitor of a workload, with its claim, may not command this pod; None if it may.
+
+        ``owner`` is the workload for which the pod was created; empty for a pod of a shared pool.
+        """
+        if owner and workload != owner:
+            return f"pod {pod} is an instance of {owner}, not of {workload}"
+        if owner or not self.workload:
+            return None
+        if (workload, claim) != (self.workload, self.claim):
+            return f"pod {pod} is claimed by {self.workload} ({self.claim})"
+        return None
+
+    def outdated(self, epoch: GateEpoch) -> str | None:
+        """Return why a request of this epoch may not be carried out; None if it may."""
+        same = epoch.workload_uid == self.workload_uid or not epoch.workload_uid
+        if same and epoch.number < self.epoch:
+            return (
+                f"the request is of epoch {epoch.number} of the gate, and this agent knows epoch {self.epoch}: another "
+                "monitor has switched the gate since"
+            )
+        return None
+
+    def learn(self, epoch: GateEpoch) -> bool:
+        """Remember the newest epoch. Returns whether it was not known."""
+        if not epoch.workload_uid or (epoch.workload_uid, epoch.number) == (self.workload_uid, self.epoch):
+            return False
+        self.workload_uid, self.epoch = epoch.workload_uid, epoch.number
+        return True
 
     @classmethod
     def load(cls, directory: Path) -> AgentMemory:

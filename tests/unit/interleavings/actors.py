@@ -15,7 +15,7 @@ from tests.unit.interleavings.blanks import BlackBox, Keeping, RobotReaders
 from tests.unit.interleavings.network import Network, SimulatedClient
 from tests.unit.interleavings.robots import Robots
 from tests.unit.interleavings.scheduling import Killed, Process
-from tests.unit.interleavings.senses import AgentConnections, HealthObserver, Probes
+from tests.unit.interleavings.senses import HealthObserver, Probes
 from understudy.api import names
 from understudy.controller.plan import Images
 from understudy.controller.reconcile.executor import Executor
@@ -28,7 +28,7 @@ from understudy.controller.runtime import kopf_handlers, watches
 from understudy.controller.runtime import process as running
 from understudy.controller.runtime.workers import Operator
 from understudy.failover.journal import Journal
-from understudy.kube.client import NETWORK_POLICIES, NODES, PODS, ApiError, Expired, Object, Resource
+from understudy.kube.client import NETWORK_POLICIES, NODES, PODS, ApiError, Client, Expired, Object, Resource
 from understudy.kube.events import Recorder
 from understudy.kube.gates.base import GateRecord
 from understudy.kube.leader_election import LeadershipLost, Lease, Timing
@@ -39,6 +39,7 @@ from understudy.monitor.act.recovery.recovery_journal import RecoveryJournal
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.loop import MonitorLoop, Parts
 from understudy.monitor.notices import Notices, PublishedStatus
+from understudy.monitor.observe.agent_connections import AgentConnections
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.instance_roles import InstanceRoles
 from understudy.monitor.observe.objects.cluster_view import ClusterView
@@ -96,8 +97,6 @@ class Monitor:
         journal: Path,
         kill: Callable[[Process], None],
         broken: Callable[[str], None],
-        *,
-        initializes: bool,
     ) -> None:
         """``kill`` kills a process; ``broken`` is called with what doesn't hold."""
         self.process, self.workload = process, workload
@@ -108,10 +107,9 @@ class Monitor:
         self.current = CurrentRecovery()
         self._view: ClusterView | None = None
         self.notices: Notices | None = None
-        self.agents = self._make_agents(initializes=initializes)
 
-    def _make_agents(self, *, initializes: bool) -> AgentConnections:
-        return AgentConnections(self._robots, self.workload, self.fuse.step, initializes=initializes)
+    def _make_agents(self, client: Client, view: ClusterView, roles: InstanceRoles) -> AgentConnections:
+        return AgentConnections(client, view, self.workload, self.fuse, roles, self.wakeups)
 
     def _make_observer(self) -> HealthObserver:
         return HealthObserver(self._robots, self.workload, self._look_at_gate)
@@ -134,7 +132,7 @@ class Monitor:
             probes = self._make_probes()
             gate = GateControl(client, view, fleet, probes, self.fuse, notices)
             roles = InstanceRoles(view, gate, self.current)
-            agents, observer = cast(Any, self.agents), cast(Any, self._make_observer())
+            agents, observer = self._make_agents(client, view, roles), cast(Any, self._make_observer())
             parts = Parts(
                 cluster=Cluster(view, fleet, gate),
                 senses=Senses(observer, agents, probes, cast(Any, RobotReaders()), roles, self.wakeups),

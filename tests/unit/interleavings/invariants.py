@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 
 from tests.unit.interleavings.apiserver import ApiServer
+from tests.unit.interleavings.commands import Commands
 from tests.unit.interleavings.robots import Robots
 from tests.unit.interleavings.senses import GAP
 from understudy.api import names
@@ -43,6 +44,10 @@ class Invariants:
         self.failed: dict[str, float] = {}
         """Pods that failed for good while they were in control, and when."""
         self.commits = self.claims = self.creations = 0
+        self.commands = Commands(lambda: robots.now, broken)
+        for (_, name), gate in server.items["networkpolicies"].items():
+            if name.endswith("-gate"):
+                self.commands.see(name.removesuffix("-gate"), GateRecord.of(gate))
 
     # -- at every write ---------------------------------------------------------------------------------------------
 
@@ -87,6 +92,7 @@ class Invariants:
     def _gate(self, old: Object | None, new: Object) -> None:
         """Each commit is of the next epoch, and lets exactly the pod through that it names."""
         after = GateRecord.of(new)
+        self.commands.see(_name(new).removesuffix("-gate"), after)
         through = GATE.let_through(new)
         if through != self._named(after):
             self._broken(f"{_name(new)} lets {through} through and names {after.active!r}")

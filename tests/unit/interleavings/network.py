@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import random
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +14,7 @@ import aiohttp
 from tests.support.answers import tabled
 from tests.unit.interleavings.apiserver import ApiServer, selecting, watch_event
 from tests.unit.interleavings.scheduling import Process, VirtualLoop
+from tests.unit.interleavings.tcp import Tcp
 from understudy.kube.api_contact import ApiContact
 from understudy.kube.client import TABLE, ApiError, Client, Expired, Object, Resource
 
@@ -71,6 +72,13 @@ class Network:
         """Called with a process that sends a request, its method and its path; not where the server is only to judge it."""
         self.cut_off: set[Process] = set()
         """Processes of which nothing arrives, and to which nothing comes."""
+        self.tcp = Tcp(loop, world, self.link_delay)
+        """The connections between monitors and agents."""
+        self.apart: set[Process] = set()
+        """Processes that reach no pod, and that no pod reaches."""
+        self.unreachable: set[str] = set()
+        """Addresses that nobody reaches."""
+        self.tcp.open = lambda process, host: process not in self.apart and host not in self.unreachable
         self.denied: set[Process] = set()
         """Processes of whose writes every second one is refused for good, as by an API server that knows only a part of their roles."""
         self._waiting: dict[str, list[asyncio.Future[None]]] = {}
@@ -84,6 +92,19 @@ class Network:
         """Seconds for one way."""
         roll = self.choices.random()
         return roll * 2.0 if self.choices.random() < self.weather.slow else 0.0005 + roll * 0.006
+
+    def link_delay(self) -> float:
+        """Seconds for one way between a monitor and a pod."""
+        roll = self.choices.random()
+        return roll * 0.3 if self.choices.random() < self.weather.slow else 0.0002 + roll * 0.002
+
+    def set_apart(self, processes: Iterable[Process], so: bool) -> None:
+        """Cut processes off from all pods, or join them again."""
+        if so:
+            self.apart.update(processes)
+        else:
+            self.apart.difference_update(processes)
+            self.tcp.changed()
 
     def fate(self) -> str:
         """Returns the fate of a request."""

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from tests.unit.interleavings.apiserver import Place
+from understudy.agent.agent_memory import AgentMemory
 
 REFERRED = "of"
 """Label of pods that a Deployment or StatefulSet makes, with the workload that refers to it: they have none of ours at first."""
@@ -40,7 +41,17 @@ class Running:
     routed_at: float | None = None
     restarts: int = 0
     brought: str = ""
-    """What a procedure has brought it to, as its monitor called it."""
+    """What a procedure has brought its processes to, as its monitor called it."""
+    silent_since: float = 0.0
+    """When it stopped sending."""
+    disturbed: bool = False
+    """Whether it sent until a procedure began, and will again when that ends."""
+    owner: str = ""
+    """The workload it was made for; empty in a shared pool."""
+    secret: str = ""
+    """With its agent's token; empty if it has no agent."""
+    memory: AgentMemory = field(default_factory=AgentMemory)
+    """In its volume: what its agent remembers."""
 
     @property
     def stands_by(self) -> bool:

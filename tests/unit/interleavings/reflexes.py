@@ -20,7 +20,7 @@ from tests.unit.interleavings.invariants import Invariants
 from tests.unit.interleavings.network import Weather
 from tests.unit.interleavings.reflexinvariants import LOOK, ReflexInvariants
 from tests.unit.interleavings.reflexrobots import EVERYBODY, ReflexRobots
-from tests.unit.interleavings.reflexsenses import ReflexMonitor, ReflexSidecars
+from tests.unit.interleavings.reflexsenses import ReflexMonitor
 from tests.unit.interleavings.robots import Robots
 from tests.unit.interleavings.scenes import Outcome, Scene
 from tests.unit.interleavings.scheduling import Process
@@ -98,11 +98,9 @@ class Reflexive(Simulation):
         )
 
     def _make_monitor(self, process: Process, workload: str, journal: Path) -> Monitor:
-        made = ReflexMonitor(
-            process, self.network, self.mine, workload, journal, self.kill, self._broken, initializes=False
-        )
+        made = ReflexMonitor(process, self.network, self.mine, workload, journal, self.kill, self._broken)
         invariants = cast(ReflexInvariants, self.invariants)
-        cast(ReflexSidecars, made.agents).shut_out = functools.partial(invariants.shut_out, workload)
+        made.agents.shut_out = functools.partial(invariants.shut_out, workload)
         return made
 
     def patches(self) -> Iterator[tuple[Any, str, Any]]:

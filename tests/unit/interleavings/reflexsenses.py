@@ -156,9 +156,10 @@ class ReflexMonitor(Monitor):
     ) -> None:
         self.reader = robots.watch(process, workload)
         super().__init__(process, network, robots, workload, *rest, **more)
+        self.agents = ReflexSidecars(self._robots, self.workload, self.fuse.step, initializes=False)
 
-    def _make_agents(self, *, initializes: bool) -> AgentConnections:
-        return ReflexSidecars(self._robots, self.workload, self.fuse.step, initializes=initializes)
+    def _make_agents(self, *_: Any) -> Any:
+        return self.agents
 
     def _make_observer(self) -> HealthObserver:
         return ReflexSight(cast(ReflexRobots, self._robots), self.workload, self._look_at_gate, self.reader)
@@ -175,7 +176,7 @@ class ReflexMonitor(Monitor):
             lost = recovering is not None and recovering.taken_over is not None and recovering.has_failed(uid)
             return uid in (state.active_uid, state.admitted_uid) and not lost
 
-        cast(ReflexSidecars, self.agents).believed = believed
+        self.agents.believed = believed
 
         group.create_task(permits.run())
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 
 from tests.unit.interleavings.apiserver import EPOCH, ApiServer, Place, stamp
 from tests.unit.interleavings.network import Network
+from tests.unit.interleavings.pod_agents import Commanded, PodAgent
 from tests.unit.interleavings.pods import REFERRED, Luck, Running
 from tests.unit.interleavings.scheduling import Process, VirtualLoop
 from understudy.api import names
@@ -39,6 +40,11 @@ class Robots:
     changed: Callable[[str], None] = lambda robot: None
     """Called when what reaches a robot has changed."""
     noted: Callable[[str], None] = lambda text: None
+    agents_of: dict[str, PodAgent] = field(default_factory=dict)
+    """The agents that run, by UID of their pods."""
+    commanded: Commanded = lambda found, op, epoch, by: None
+    started: Callable[[str, Running], None] = lambda workload, found: None
+    """Called when a workload's monitor starts the held processes of a pod."""
     places: Callable[[], Sequence[str]] = lambda: NODES
     """The nodes that take new pods: all, as where a template tolerates everything."""
     _waiting: dict[str, list[asyncio.Future[None]]] = field(default_factory=dict)
@@ -46,9 +52,11 @@ class Robots:
 
     def adopt(self, running: Mapping[str, Running], let_through: Mapping[str, tuple[str, ...]]) -> None:
         """Go on with the pods of an earlier run."""
-        self.running = {uid: replace(found) for uid, found in running.items()}
+        self.running = {uid: replace(found, memory=replace(found.memory)) for uid, found in running.items()}
         self.let_through = dict(let_through)
         self._addresses = 10 * len(running)
+        for uid in self.running:
+            self.run_agent(uid)
 
     @property
     def now(self) -> float:
@@ -191,6 +199,8 @@ class Robots:
             held=labels.get(names.HELD) == "true",
             ip=f"10.0.{self._addresses // 250}.{self._addresses % 250 + 1}",
             broken=self.choices.random() < self.luck.broken,
+            owner=labels.get(names.WORKLOAD, ""),
+            secret=_secret(pod),
         )
         self.running[uid] = found
         slow = self.choices.random() < self.luck.slow
@@ -201,6 +211,7 @@ class Robots:
         if found is None or found.ended:
             return
         found.up, found.up_at = True, self.now
+        self.run_agent(uid)
         self.status(uid, "Running", ready=found.held)
         if not found.held:
             self.later(self.between(0.1, 0.8), self._send, uid)
@@ -211,6 +222,7 @@ class Robots:
         if found is None or found.ended or not found.held:
             return
         found.held, found.robot, found.up_at = False, workload, self.now
+        self.look(uid)
         self.later(self.between(0.1, 0.8), self._send, uid)
 
     def bring(self, uid: str, brought: str) -> None:
@@ -223,6 +235,56 @@ class Robots:
             self.later(self.between(0.01, 0.2), self._send, uid)
         elif found.stands_by:
             self.status(uid, "Running", ready=True)
+        self.look(uid)
+
+    def disturb(self, uid: str) -> None:
+        """A procedure begins: what its application does until then, it stops."""
+        found = self.running.get(uid)
+        if found is None or found.ended:
+            return
+        found.disturbed, found.brought = found.sends, ""
+        self._silence(found)
+
+    def calm(self, uid: str) -> None:
+        """A procedure has ended: its application goes on."""
+        found = self.running.get(uid)
+        if found is not None and found.disturbed:
+            found.disturbed = False
+            self.later(self.between(0.01, 0.2), self._send, uid)
+
+    def _silence(self, found: Running) -> None:
+        """It sends nothing more."""
+        if found.sends:
+            found.sends, found.silent_since = False, self.now
+        self.route(found.robot)
+        self.look(found.uid)
+
+    # -- agents -----------------------------------------------------------------------------------------------------
+
+    def run_agent(self, uid: str) -> None:
+        """A pod's agent starts, and knows what an earlier one left."""
+        found = self.running[uid]
+        if not found.secret or found.ended or not found.up or uid in self.agents_of:
+            return
+        process = self.loop.process(f"agent of {found.name}")
+        self.agents_of[uid] = agent = PodAgent(self, found, process)
+        self.loop.start(process, agent.run())
+
+    def end_agent(self, uid: str, *, silently: bool = False) -> None:
+        """A pod's agent ends. Nobody learns of it if its node is gone with it."""
+        if (agent := self.agents_of.pop(uid, None)) is not None:
+            agent.process.kill()
+            if not silently:
+                self.network.tcp.ended(agent.process)
+
+    def look(self, uid: str) -> None:
+        """A pod's agent sees that something has changed."""
+        if (agent := self.agents_of.get(uid)) is not None:
+            self.loop.call_soon(agent.look, context=agent.process.context)
+
+    def look_later(self, uid: str, seconds: float) -> None:
+        """A pod's agent looks again."""
+        self.later(seconds, self.look, uid)
 
     def _send(self, uid: str) -> None:
         found = self.running.get(uid)
@@ -233,6 +295,7 @@ class Robots:
         found.sends, found.sends_since = True, self.now
         self.status(uid, "Running", ready=True)
         self.route(found.robot)
+        self.look(uid)
 
     def _end(self, uid: str) -> None:
         """A pod's processes end; what is left of its object goes a moment later."""
@@ -240,6 +303,7 @@ class Robots:
         if found is None:
             return
         found.ended, found.up, found.sends = True, False, False
+        self.end_agent(uid)
         self.route(found.robot)
         self.later(self.between(0.01, 0.1), self._forget, uid)
 
@@ -255,17 +319,17 @@ class Robots:
         """Its application stops and to Kubernetes still runs."""
         found = self.running.get(uid)
         if found is not None:
-            found.sends, found.broken = False, True
-            self.route(found.robot)
+            found.broken = True
+            self._silence(found)
 
     def crash(self, uid: str) -> None:
         """A container of it ends and is started again, or ends again and again."""
         found = self.running.get(uid)
         if found is None or found.ended:
             return
-        found.sends, found.restarts, found.brought = False, found.restarts + 1, ""
+        found.restarts, found.brought = found.restarts + 1, ""
         found.broken = self.choices.random() < 0.4
-        self.route(found.robot)
+        self._silence(found)
         self.status(uid, "Running", ready=False, reason="CrashLoopBackOff" if found.broken else "")
         if not found.held:
             self.later(self.between(0.5, 3.0), self._send, uid)
@@ -276,6 +340,7 @@ class Robots:
         if found is None or found.ended:
             return
         found.ended, found.up, found.sends = True, False, False
+        self.end_agent(uid)
         self.route(found.robot)
         self.status(uid, "Failed", ready=False)
 
@@ -297,6 +362,8 @@ class Robots:
         for found in [f for f in self.running.values() if f.node == node and not f.ended]:
             found.up = found.sends = False
             found.ended = True
+            self.network.unreachable.add(found.ip)
+            self.end_agent(found.uid, silently=True)
             self.route(found.robot)
             self.later(3.0, self.status, found.uid, "Running", False)
             self.later(6.0, self._evict, found.uid)
@@ -380,6 +447,12 @@ def _place(item: Object) -> Place:
 
 def _labels(item: Object) -> dict[str, str]:
     return item["metadata"].get("labels") or {}
+
+
+def _secret(pod: Object) -> str:
+    """The Secret with the token of a pod's agent; empty if it has none."""
+    found = [volume["secret"]["secretName"] for volume in pod["spec"].get("volumes") or [] if "secret" in volume]
+    return found[0] if found else ""
 
 
 def _conditions(pod: Object) -> list[Object]:

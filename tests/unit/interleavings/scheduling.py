@@ -71,6 +71,8 @@ class VirtualLoop(asyncio.AbstractEventLoop):
         self.steps = self._asked = 0
         self._processes: list[Process] = []
         self._everybody: list[Process] = []
+        self.tcp: Any = None
+        """What connects processes (tcp.py)."""
         self.surprised: Callable[[Process, BaseException | None, str], None] = lambda process, error, message: None
         """Called with what nobody has caught."""
 
@@ -182,6 +184,20 @@ class VirtualLoop(asyncio.AbstractEventLoop):
             tasks[:] = [other for other in tasks if not other.done()]
         tasks.append(task)
         return task
+
+    async def create_connection(self, factory: Any, host: Any = None, port: Any = None, **_: Any) -> Any:  # type: ignore[override]
+        return await self.tcp.connect(factory, host)
+
+    async def create_server(self, factory: Any, host: Any = None, port: Any = None, **_: Any) -> Any:  # type: ignore[override]
+        return await self.tcp.serve(factory, host)
+
+    def run_in_executor(self, executor: Any, func: Callable[..., Any], *args: Any) -> asyncio.Future[Any]:  # type: ignore[override]
+        done = self.create_future()
+        try:
+            done.set_result(func(*args))
+        except Exception as error:
+            done.set_exception(error)
+        return done
 
     def get_debug(self) -> bool:
         return False

@@ -47,7 +47,9 @@ class SimulatedCluster:
         if base is not None:
             self.robots.adopt(base.running, base.let_through)
         self.robots.changed = self._output_received
+        self.robots.started = lambda workload, found: self.invariants.started(workload, found.uid, found.place)
         self.invariants = self._make_invariants()
+        self.robots.commanded = self.invariants.commands.carried_out
         self.server.changed = self._written
         self.network.noted = self.robots.noted = self.note
         self.network.sending = self._sends
@@ -78,7 +80,6 @@ class SimulatedCluster:
             journal,
             self.kill,
             self._broken,
-            initializes=self.scene.initializes,
         )
 
     def patches(self) -> Iterator[tuple[Any, str, Any]]:
@@ -156,9 +157,6 @@ class SimulatedCluster:
         process = self.loop.process(f"monitor-{next(self._incarnations)} of {workload}")
         file = self._folder / f"{self.outcome.seed}-{workload}-{journal}.json"
         monitor = self._make_monitor(process, workload, file)
-        monitor.agents.started = lambda instance: self.invariants.started(
-            workload, instance.uid, (NAMESPACE, instance.name)
-        )
         self.monitors.append(monitor)
         self._journals[process.name] = journal
         self.note(f"{process} starts")
@@ -180,6 +178,7 @@ class SimulatedCluster:
             return
         self.note(f"{process} is killed")
         process.kill()
+        self.network.tcp.ended(process)
         for operator in [o for o in self.operators if o.process is process]:
             self.operators.remove(operator)
             self.later(self.choices.random() * 2, self.start_operator, operator.replica)

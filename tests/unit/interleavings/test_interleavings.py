@@ -7,6 +7,7 @@ of them are ``scripts/bench interleavings``.
 from __future__ import annotations
 
 import asyncio
+import math
 from dataclasses import replace
 from typing import Any
 from unittest import mock
@@ -16,6 +17,7 @@ import pytest
 from tests.unit.interleavings import simulation
 from tests.unit.interleavings.comparison import observed_alike, unconditional, without
 from tests.unit.interleavings.scenes import SCENES, Outcome, Scene
+from understudy.agent.agent_memory import AgentMemory
 from understudy.controller.reconcile.executor import Executor
 from understudy.controller.reconcile.expectations import Expectations
 from understudy.kube import apply, claims
@@ -25,13 +27,14 @@ from understudy.kube.gates.kinds.network_policy import GATE
 from understudy.kube.leader_election import Lease
 from understudy.monitor.act.instances.garbage_collection import GarbageCollection
 from understudy.monitor.act.recovery.abandonment import Abandonment
+from understudy.monitor.observe import agent_connections
 from understudy.monitor.report.status_writer import StatusWriter
 
 RUNS, CHUNK = 125, 25
 """The short share; seeds from 100,000 on, which scripts/bench doesn't run by itself."""
 FIRST = 100_000
 
-SHARED, SCARCE, EXECUTING = SCENES[:3]
+SHARED, SCARCE, EXECUTING, INITIALIZED = SCENES[:4]
 
 
 @pytest.mark.parametrize("first", range(FIRST, FIRST + RUNS, CHUNK))
@@ -63,6 +66,14 @@ def found(words: str, scene: Scene, *troubles: str, weather: float = 1.0, within
         if any(words in fault for fault in outcome.faults):
             return outcome
     pytest.fail(f"no {words!r} in {within} runs")
+
+
+def test_commands_of_a_monitor_that_was_replaced_are_detected() -> None:
+    with (
+        mock.patch.object(AgentMemory, "outdated", return_value=None),
+        mock.patch.object(agent_connections, "CONFIRMED_FOR", math.inf),
+    ):
+        assert found("later it carries out", INITIALIZED, "monitor_is_replaced")
 
 
 def test_a_claim_without_its_precondition_is_detected() -> None:

@@ -21,6 +21,8 @@ from understudy.kube.gates.base import GateRecord
 
 TROUBLE = (4.0, 14.0)
 """Seconds, at least and at most, for which things go wrong."""
+LONG, LONGER = 0.5, 90.0
+"""How often a monitor that was replaced lives on for minutes, and for how many seconds more at most."""
 NOTICES = 0.1
 """Seconds in which an operator that gets a processor again notices that another one leads."""
 TROUBLES = {
@@ -34,6 +36,9 @@ TROUBLES = {
     "operator_is_ended": 1,
     "somebody_stalls": 3,
     "somebody_is_cut_off": 2,
+    "monitor_is_replaced": 2,
+    "monitor_reaches_no_pod": 2,
+    "agent_restarts": 2,
     "monitor_is_denied": 2,
     "watch_falls_silent": 2,
     "kubelets_write": 4,
@@ -50,6 +55,8 @@ class Troubles(SimulatedCluster):
 
     causes: Mapping[str, int] = TROUBLES
     """What may go wrong, and how often in comparison."""
+    _lasts = 0.0
+    """When it ends."""
 
     def _plan_trouble(self) -> float:
         """Have things go wrong for a while; until when."""
@@ -63,7 +70,11 @@ class Troubles(SimulatedCluster):
         lasts = TROUBLE[0] + (TROUBLE[1] - TROUBLE[0]) * choices.random()
         causes = self.causes
         troubles = {name: weight for name, weight in causes.items() if name in (self.scene.troubles or causes)}
-        for name in choices.choices(list(troubles), list(troubles.values()), k=choices.randint(2, 9)):
+        chosen = choices.choices(list(troubles), list(troubles.values()), k=choices.randint(2, 9))
+        if "monitor_is_replaced" in chosen and choices.random() < LONG:
+            lasts += LONGER * choices.random()
+        self._lasts = self.loop.time() + lasts
+        for name in chosen:
             self.later(1 + choices.random() * lasts, getattr(self, f"_{name}"))
         return lasts
 
@@ -118,6 +129,38 @@ class Troubles(SimulatedCluster):
         self.start_monitor(workload, f"other-{next(self._ids)}")
         if old is not None:
             self.later(self.choices.random() * 8, self.kill, old.process)
+
+    def _monitor_is_replaced(self) -> None:
+        """It loses the API server for long, and not its pods. Its Deployment makes another one, and the active pod fails."""
+        if not self.monitors:
+            return
+        old, seconds = self.choices.choice(self.monitors), 10 + self.choices.random() * (self._lasts - self.loop.time())
+        self.note(f"{old.process} is cut off from the API server for {seconds:.1f} s, and another one replaces it")
+        self.network.cut_off.add(old.process)
+        self.later(seconds, self.network.cut_off.discard, old.process)
+        self.later(self.choices.random() * 4, self._replace_monitor, old.workload)
+        fails = self.choices.choice(["freezes", "crashes", "deleted"])
+        self.later(self.choices.random() * 8, lambda: self._break(self._active(old.workload), fails))
+
+    def _replace_monitor(self, workload: str) -> None:
+        if not self._calm:
+            self.start_monitor(workload, f"other-{next(self._ids)}")
+
+    def _monitor_reaches_no_pod(self) -> None:
+        if not self.monitors:
+            return
+        process, seconds = self.choices.choice(self.monitors).process, self.choices.choice([4, 12, 60])
+        self.note(f"{process} reaches no pod for {seconds} s")
+        self.network.set_apart([process], True)
+        self.later(seconds, self.network.set_apart, [process], False)
+
+    def _agent_restarts(self) -> None:
+        """As when it runs out of memory: its pod and the application go on."""
+        if self.robots.agents_of:
+            uid = self.choices.choice(sorted(self.robots.agents_of))
+            self.note(f"the agent of {self.robots.running[uid].name} is restarted")
+            self.robots.end_agent(uid)
+            self.later(0.2 + 2 * self.choices.random(), self.robots.run_agent, uid)
 
     def _operator_dies(self) -> None:
         if self.operators:
@@ -248,6 +291,7 @@ class Troubles(SimulatedCluster):
         self.note("from here on nothing goes wrong any more")
         self.network.weather, self.robots.luck = Weather(), Luck(slow=0.0)
         self.network.cut_off.clear()
+        self.network.set_apart(list(self.network.apart), False)
         self.network.denied.clear()
         for monitor in self.monitors:
             monitor.fuse.left = None
