@@ -6,6 +6,7 @@ Times are of the event loop's clock.
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -21,23 +22,27 @@ class ApiContact:
         """Since when each request is under way."""
         self._failing_since: float | None = None
         """Since when each request that ended has ended without an answer."""
+        self._answered_at = -math.inf
+        """When a request was last answered."""
 
     @contextmanager
     def asking(self) -> Iterator[None]:
         """Record a request while the context is open. It was answered if the context ends without an error.
 
-        A request that its sender cancels says nothing about the API server, unless it was under way for long.
+        A request that its sender cancels says nothing about the API server, unless it was under way for long. Neither does
+        one without an answer if another request was answered meanwhile: it was lost on the way.
         """
         loop, request = asyncio.get_running_loop(), object()
         self._asked[request] = asked = loop.time()
         try:
             yield
         except BaseException as error:
-            if isinstance(error, Exception) or loop.time() - asked >= SLOW:
+            failed = isinstance(error, Exception) or loop.time() - asked >= SLOW
+            if failed and self._answered_at <= asked:
                 self._failing_since = asked if self._failing_since is None else self._failing_since
             raise
         else:
-            self._failing_since = None
+            self._failing_since, self._answered_at = None, loop.time()
         finally:
             del self._asked[request]
 

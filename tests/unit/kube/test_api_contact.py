@@ -44,6 +44,16 @@ async def test_a_request_that_takes_long_is_unanswered_while_it_is_under_way() -
     assert contact.unanswered_since is None
 
 
+async def test_a_lost_request_is_no_outage_if_another_one_was_answered_meanwhile() -> None:
+    contact = ApiContact()
+    with contextlib.suppress(TimeoutError), contact.asking():
+        await asyncio.sleep(0.01)
+        with contact.asking():
+            pass
+        raise TimeoutError
+    assert contact.unanswered_since is None
+
+
 @pytest.mark.parametrize(("after", "unanswered"), [(0.0, False), (0.06, True)])
 async def test_a_cancelled_request_counts_only_if_it_waited_for_long(after: float, unanswered: bool) -> None:
     contact = ApiContact()
