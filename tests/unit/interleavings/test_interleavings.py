@@ -134,7 +134,7 @@ def test_the_deletion_of_a_claimed_pod_is_detected() -> None:
 
 def test_a_status_that_a_dead_monitor_overwrites_is_detected() -> None:
     with mock.patch.object(StatusWriter, "check"):
-        assert found("than the status", SCARCE, "monitor_dies_at_a_step", "all_fail", weather=3.0, within=300)
+        assert found("than the status", EXECUTING, "monitor_is_replaced", "all_fail", weather=3.0)
 
 
 def test_a_recovery_that_stays_at_the_gate_for_ever_is_detected() -> None:
