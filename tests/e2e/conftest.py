@@ -151,6 +151,14 @@ def shared(release: Kubectl, namespaces: list[str]) -> Iterator[dict[str, Robot]
         _leave(robot.kubectl)
 
 
+@pytest.fixture(scope="module")
+def ends_with_file(shared: dict[str, Robot]) -> Iterator[None]:
+    """The robots that tests of a file share end with the file, because they need much of the machine."""
+    yield
+    while shared:
+        _leave(shared.popitem()[1].kubectl)
+
+
 @pytest.fixture
 def executing(request: pytest.FixtureRequest) -> Robot:
     """A robot whose application has an executing standby."""

@@ -12,7 +12,10 @@ from tests.e2e.kubectl import Kubectl, Object
 from tests.e2e.navigation import CONFIGURATIONS, GOAL_TOLERANCE, Navigator, Tour
 from tests.e2e.scenario import never
 
-pytestmark = pytest.mark.alone  # a stack of five processes needs most of the machine
+pytestmark = [
+    pytest.mark.alone,  # a stack of five processes needs most of the machine
+    pytest.mark.usefixtures("ends_with_file"),
+]
 
 LOCALIZATION = 0.3
 """Metres that localization may be off after a hand-over."""
