@@ -21,7 +21,10 @@ from tests.e2e.scenario import Late, Robot, eventually, manifest, never, patient
 from tests.e2e.test_fence import ENFORCED_WITHIN
 from tests.e2e.test_strategies import assert_handed_over
 
-pytestmark = pytest.mark.local_only
+pytestmark = [
+    pytest.mark.local_only,
+    pytest.mark.long,  # CI has each mode by packets: tests/cluster/test_network_modes.py
+]
 
 ALWAYS = math.inf
 """For as long as the mode lasts and the pod lives."""
@@ -77,7 +80,6 @@ MODES = {
     # None of these changes labels.
     "labels lag by 5 s": Mode(("--label-lag", "5"), fenced=0, both=0, undeleted=0, vanished=0, leak=False),
 }
-EACH_TIME = "lags by 600 ms"
 
 
 def _node_of(robot: Robot, pod: str) -> str:
@@ -150,9 +152,7 @@ def assert_switched(robot: Robot, network: Network, mode: Mode, *, is_undeleted:
     assert_reported(found, mode.leak and is_undeleted)
 
 
-@pytest.mark.parametrize(
-    "mode", [mode if mode == EACH_TIME else pytest.param(mode, marks=pytest.mark.long) for mode in MODES]
-)
+@pytest.mark.parametrize("mode", list(MODES))
 def test_the_gate_in_a_mode_of_the_network(executing: Robot, network: Network, mode: str) -> None:
     assert_fenced(executing, network, MODES[mode])
     assert_switched(executing, network, MODES[mode])
@@ -183,7 +183,6 @@ def assert_it_ends(robot: Robot, stage: Stage, network: Network, old: str) -> No
     assert robot.wait_protected(180) != old
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("mode", list(MODES))
 def test_a_former_instance_that_nobody_can_end_is_shut_as_far_as_the_network_does_it(
     apart: Robot, stage: Stage, network: Network, mode: str
@@ -194,7 +193,6 @@ def test_a_former_instance_that_nobody_can_end_is_shut_as_far_as_the_network_doe
     assert_it_ends(apart, stage, network, old)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("mode", list(MODES))
 def test_an_active_instance_that_vanishes_from_the_api_is_shut_as_far_as_the_network_does_it(
     apart: Robot, stage: Stage, network: Network, mode: str
@@ -224,7 +222,6 @@ def test_an_active_instance_that_vanishes_from_the_api_is_shut_as_far_as_the_net
     assert_it_ends(apart, stage, network, old)
 
 
-@pytest.mark.long
 @pytest.mark.own_robot
 def test_a_held_pod_drives_late_where_changes_of_labels_lag_and_never_beside_another(
     uninitialized: Robot, network: Network
