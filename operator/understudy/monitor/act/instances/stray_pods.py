@@ -21,7 +21,7 @@ from understudy.kube.apply import controller_of
 from understudy.kube.client import FAILURES, PODS, Object
 from understudy.monitor.act.objects.pod_control import instance_of
 from understudy.monitor.observe.objects.cluster_view import ClusterView
-from understudy.ros.rmw import MIDDLEWARE
+from understudy.monitor.observe.robot.known_senders import host_at
 
 _logger = logging.getLogger(__name__)
 
@@ -39,7 +39,7 @@ def strays(
     found: list[Instance] = []
     for pod in pods:
         instance = instance_of(pod)
-        if (instance.uid in uids or _host(instance.ip) in hosts) and (
+        if (instance.uid in uids or host_at(instance.ip) in hosts) and (
             owned := _owned(pod, instance, settings)
         ) is not None:
             found.append(owned)
@@ -61,13 +61,6 @@ def _owned(pod: Object, instance: Instance, settings: WorkloadSettings) -> Insta
         name = name.rpartition("-")[0]
         kind = "Deployment"
     return replace(instance, pool="") if (kind, name) == (settings.source_kind, settings.source_name) else None
-
-
-def _host(ip: str) -> bytes | None:
-    try:
-        return MIDDLEWARE.host_at(ip)
-    except ValueError:
-        return None
 
 
 class StrayPods:
@@ -107,7 +100,7 @@ class StrayPods:
                 _logger.warning("%s reaches the robot without the label %s", instance.name, names.WORKLOAD)
         self.instances = found
         # Senders that are no stray are forgotten: they are given again as long as they send.
-        self._hosts = {host for one in found if (host := _host(one.ip)) is not None}
+        self._hosts = {host for one in found if (host := host_at(one.ip))}
         self._uids = {one.uid for one in found}
 
     def find(self, uid: str) -> Instance | None:

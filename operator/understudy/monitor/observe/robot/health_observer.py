@@ -15,7 +15,7 @@ from understudy.failover.pinned import PinnedPod
 from understudy.monitor.observe.objects.resource_meter import ResourceMeter
 from understudy.monitor.observe.robot.context_detection import ContextDetection, SituationState
 from understudy.monitor.observe.robot.degraded_tree import BusyReason, DegradedTrees
-from understudy.monitor.observe.robot.known_senders import REMEMBERED, KnownSender, KnownSenders, OutputSender
+from understudy.monitor.observe.robot.known_senders import REMEMBERED, KnownSender, KnownSenders, OutputSender, host_at
 from understudy.ros.observe.offered_qos import offers
 from understudy.ros.observe.sample_rings import SampleRing
 from understudy.ros.observe.topic_watch import TopicWatch
@@ -60,7 +60,7 @@ class HealthObserver:
         self._asked: WatchedTopic | None = None
         """What trees need to know about the object of the active pod; None for nothing."""
         self._meter = meter
-        self._own_host = _host(address)
+        self._own_host = host_at(address)
         self.addresses: dict[str, str] = {}
         """IPs by pod name, of the instances to which samples are attributed: those that exist or that are gone and may still send."""
 
@@ -202,7 +202,7 @@ class HealthObserver:
 
     def _last_at(self, ip: str) -> float | None:
         """Return when an output was last heard from an address; None if never."""
-        host = _host(ip)
+        host = host_at(ip)
         topics = (output.topic for output in self._outputs if output.topic)
         found = [record.last for topic in topics if (record := self._watching.records(topic).get(host)) is not None]
         return max((last for last in found if last is not None), default=None)
@@ -215,7 +215,7 @@ class HealthObserver:
         """Return who sent on each output that is a topic of late, and when last. This pod is left out."""
         hosts: dict[bytes, list[KnownSender]] = {}
         for sender in self._senders.all():
-            hosts.setdefault(_host(sender.ip), []).append(sender)
+            hosts.setdefault(host_at(sender.ip), []).append(sender)
         found: list[OutputSender] = []
         for topic in dict.fromkeys(output.topic for output in self._outputs if output.topic):
             for host, record in self._watching.records(topic).items():
@@ -293,14 +293,6 @@ class HealthObserver:
     def outputs(self, fleet: Instances, gate: Gate) -> Outputs:
         """Return the gated readers in the form that the failover protocol uses."""
         return GatedReaders(self, self._watching, fleet, gate)
-
-
-def _host(address: str) -> bytes:
-    """Return what identifies the writers of a host in their GIDs; empty if its address does not tell, as an IPv6 address."""
-    try:
-        return MIDDLEWARE.host_at(address)
-    except ValueError:
-        return b""
 
 
 class GatedReaders:

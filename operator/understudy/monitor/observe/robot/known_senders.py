@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from understudy.failover.interfaces import Instance
 from understudy.failover.pinned import PinnedPod
+from understudy.ros.rmw import MIDDLEWARE
 
 REMEMBERED = 60.0
 """Seconds for which all samples are attributed to an instance that is gone, after its object was last seen or an output of it was heard.
@@ -18,6 +19,14 @@ After that, samples of other topics are not: its address may belong to another p
 
 SILENT_FOR = 600.0
 """Seconds of silence after which an instance that the gate let through, and that is gone, is no longer watched for."""
+
+
+def host_at(address: str) -> bytes:
+    """Return what identifies the writers of a host in their GIDs; empty if its address does not tell, as an IPv6 address."""
+    try:
+        return MIDDLEWARE.host_at(address)
+    except ValueError:
+        return b""
 
 
 @dataclass
