@@ -13,10 +13,10 @@ from typing import TypeVar
 
 import pytest
 
-from tests.e2e.faults import ApiServer, Network, Stage, cluster
+from tests.e2e.faults import ApiServer, Network, Stage, cluster, staying
 from tests.e2e.kubectl import Failed, Kubectl, helm
 from tests.e2e.navigation import Navigator
-from tests.e2e.scenario import Late, Robot, eventually, manifest
+from tests.e2e.scenario import Late, Robot, eventually, manifest, patient
 
 R = TypeVar("R", bound=Robot)
 
@@ -256,6 +256,20 @@ def network(kubectl: Kubectl) -> Iterator[Network]:
     found = Network()
     yield found
     found.restore()
+
+
+@pytest.fixture
+def apart(kubectl: Kubectl, stage: Stage) -> Robot:
+    """A robot with an executing standby, the two of them on nodes of their own."""
+    robot = Robot(kubectl)
+    kubectl.apply(patient(manifest("strategies/executing.yaml")))
+    objects = staying(robot.objects(policy="quickstart-executing"))
+    stage.place(objects)
+    kubectl.apply(objects)
+    active = robot.wait_protected()
+    others = [pod["metadata"]["name"] for pod in robot.pods() if pod["metadata"]["name"] != active]
+    assert stage.node_of(active) not in {stage.node_of(other) for other in others}, "understudies are kept apart"
+    return robot
 
 
 @pytest.fixture

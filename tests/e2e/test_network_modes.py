@@ -15,9 +15,8 @@ from dataclasses import dataclass
 import pytest
 
 from tests.e2e.console import understudy
-from tests.e2e.faults import Network, Stage, staying
-from tests.e2e.kubectl import Kubectl
-from tests.e2e.scenario import Late, Robot, eventually, manifest, never, patient
+from tests.e2e.faults import Network, Stage
+from tests.e2e.scenario import Late, Robot, eventually, never
 from tests.e2e.test_fence import ENFORCED_WITHIN
 from tests.e2e.test_strategies import assert_handed_over
 
@@ -158,18 +157,6 @@ def test_the_gate_in_a_mode_of_the_network(executing: Robot, network: Network, m
     assert_switched(executing, network, MODES[mode])
     network.restore()
     executing.wait_protected()
-
-
-@pytest.fixture
-def apart(kubectl: Kubectl, stage: Stage) -> Robot:
-    """A robot whose instances are on nodes of their own."""
-    robot = Robot(kubectl)
-    kubectl.apply(patient(manifest("strategies/executing.yaml")))
-    objects = staying(robot.objects(policy="quickstart-executing"))
-    stage.place(objects)
-    kubectl.apply(objects)
-    robot.wait_protected()
-    return robot
 
 
 def assert_it_ends(robot: Robot, stage: Stage, network: Network, old: str) -> None:

@@ -7,29 +7,14 @@ import time
 
 import pytest
 
-from tests.e2e.faults import Stage, signal_processes, staying
-from tests.e2e.kubectl import Kubectl
-from tests.e2e.scenario import APPLICATION, Late, Robot, eventually, manifest, never, patient
+from tests.e2e.faults import Stage, signal_processes
+from tests.e2e.scenario import APPLICATION, Late, Robot, eventually, never
 from tests.e2e.test_strategies import assert_handed_over
 
 pytestmark = pytest.mark.local_only
 
 UNDISTURBED = 1.0
 """Seconds without a command below which the robot counts as driven all the time, on a machine that is busy."""
-
-
-@pytest.fixture
-def robot(kubectl: Kubectl, stage: Stage) -> Robot:
-    """A robot with an executing standby, the two of them on nodes of their own."""
-    robot = Robot(kubectl)
-    kubectl.apply(patient(manifest("strategies/executing.yaml")))
-    objects = staying(robot.objects(policy="quickstart-executing"))
-    stage.place(objects)
-    kubectl.apply(objects)
-    active = robot.wait_protected()
-    others = [pod["metadata"]["name"] for pod in robot.pods() if pod["metadata"]["name"] != active]
-    assert stage.node_of(active) not in {stage.node_of(other) for other in others}, "understudies are kept apart"
-    return robot
 
 
 def assert_undisturbed(robot: Robot, active: str, since: float) -> None:
@@ -55,58 +40,58 @@ def assert_it_stays_so(robot: Robot, stage: Stage, old: str, new: str) -> None:
 
 
 @pytest.mark.long
-def test_the_node_of_the_pod_in_control_loses_its_power(robot: Robot, stage: Stage) -> None:
-    old = robot.wait_protected()
+def test_the_node_of_the_pod_in_control_loses_its_power(apart: Robot, stage: Stage) -> None:
+    old = apart.wait_protected()
     node = stage.node_of(old)
     stage.lose(node, "down")
-    recovery = robot.wait_recovered(1)
+    recovery = apart.wait_recovered(1)
     assert (recovery.strategy, recovery.old) == ("Fallback/Executing", old), recovery
-    assert_handed_over(robot, recovery)
+    assert_handed_over(apart, recovery)
     assert stage.node_of(recovery.new) != node
-    assert_it_stays_so(robot, stage, old, recovery.new)
-    assert robot.wait_protected(180) == recovery.new, "and it has an understudy again"
+    assert_it_stays_so(apart, stage, old, recovery.new)
+    assert apart.wait_protected(180) == recovery.new, "and it has an understudy again"
 
 
 @pytest.mark.long
 def test_the_robot_is_driven_on_and_gets_another_standby_when_the_standby_s_node_loses_power(
-    robot: Robot, stage: Stage
+    apart: Robot, stage: Stage
 ) -> None:
-    active = robot.wait_protected()
-    (standby,) = (pod["metadata"]["name"] for pod in robot.pods() if pod["metadata"]["name"] != active)
+    active = apart.wait_protected()
+    (standby,) = (pod["metadata"]["name"] for pod in apart.pods() if pod["metadata"]["name"] != active)
     stage.lose(stage.node_of(standby), "down")
     lost = time.time()
     eventually(
-        lambda: robot.condition("Protected").get("status") != "True",
+        lambda: apart.condition("Protected").get("status") != "True",
         within=60,
         what="it is told that the understudy is lost",
-        note=robot.describe,
+        note=apart.describe,
     )
-    assert robot.wait_protected(180) == active, "there is another one, on the node that is left"
-    assert_undisturbed(robot, active, lost)
+    assert apart.wait_protected(180) == active, "there is another one, on the node that is left"
+    assert_undisturbed(apart, active, lost)
 
 
 @pytest.mark.long
 def test_without_kubelet_and_runtime_the_robot_is_driven_on_and_taken_over_when_its_application_ends(
-    robot: Robot, stage: Stage
+    apart: Robot, stage: Stage
 ) -> None:
-    old = robot.wait_protected()
-    node, uid = stage.node_of(old), robot.kubectl.get("pod", old)["metadata"]["uid"]
+    old = apart.wait_protected()
+    node, uid = stage.node_of(old), apart.kubectl.get("pod", old)["metadata"]["uid"]
     stage.lose(node, "stop-runtime")
     lost = time.time()
-    eventually(lambda: not stage.is_ready(node), within=60, what=f"{node} is not ready", note=robot.describe)
+    eventually(lambda: not stage.is_ready(node), within=60, what=f"{node} is not ready", note=apart.describe)
     eventually(
-        lambda: robot.kubectl.get("pod", old)["metadata"].get("deletionTimestamp"),
+        lambda: apart.kubectl.get("pod", old)["metadata"].get("deletionTimestamp"),
         within=120,
         what=f"Kubernetes gives up {old}",
-        note=robot.describe,
+        note=apart.describe,
     )
     time.sleep(5)  # nothing happens
-    assert_undisturbed(robot, old, lost)
-    assert robot.status()["active"] == old
+    assert_undisturbed(apart, old, lost)
+    assert apart.status()["active"] == old
 
     assert signal_processes(uid, APPLICATION, signal.SIGKILL)
-    recovery = robot.wait_recovered(1)
+    recovery = apart.wait_recovered(1)
     assert (recovery.strategy, recovery.old) == ("Fallback/Executing", old), recovery
-    assert_handed_over(robot, recovery)
+    assert_handed_over(apart, recovery)
     assert stage.node_of(recovery.new) != node
-    assert_it_stays_so(robot, stage, old, recovery.new)
+    assert_it_stays_so(apart, stage, old, recovery.new)
