@@ -243,13 +243,13 @@ async def alone(target: Instance, progress: Progress, context: StrategyContext) 
 
 def _last_sign(target: Instance, progress: Progress, context: StrategyContext) -> tuple[float, str]:
     """Return when another instance last reached the robot, by samples and by packets through the gate, and which; 0 if none did."""
-    now = context.clock()
     found = [context.outputs.last_from_others(target)]
     pods = {pod.uid: pod.name for pod in context.gate.state.pinned} | {pod.uid: pod.name for pod in progress.replaced}
     pods |= {i.uid: i.name for i in context.instances.of_workload()}
     pods.pop(target.uid, None)
     found += [(packet, name) for uid, name in pods.items() if (packet := context.gate.last_packet(uid)) is not None]
-    # A time after ``now`` is from before the clock was set back.
+    # Read after the signs, of which one may arrive meanwhile: a later time is from before the clock was set back.
+    now = context.clock()
     return max((sign for sign in found if sign[0] <= now), default=(0.0, ""))
 
 
