@@ -10,6 +10,7 @@ export PATH=$CACHE/tools:$PATH
 # The package is imported from the clone and never installed, because clones that need the same packages share one environment.
 export PYTHONPATH=$REPOSITORY/operator${PYTHONPATH:+:$PYTHONPATH}
 # Bytecode goes to the cache too. Without it, each process that a test starts would compile whatever it imports.
+unset PYTHONDONTWRITEBYTECODE
 export PYTHONPYCACHEPREFIX=$CACHE/bytecode
 # The ROS wheels set these once per process tree; a child process with another environment would load the wrong libraries.
 unset _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
