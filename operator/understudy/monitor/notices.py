@@ -86,12 +86,16 @@ class PublishedStatus:
     task_statuses: tuple[TaskStatus, ...] = ()
     adopted: str = ""
     """The pod that was active when this monitor started, according to the monitor before it."""
+    driven_epoch: int | None = None
+    """The gate's epoch at which the active instance had driven already when this monitor started, according to the monitor before
+    it; None if that is not known."""
 
     @classmethod
     def adopt(cls, item: Mapping[str, Any] | None) -> Self:
         """Return the part that a new monitor takes over from the status of the object; empty if there is no object."""
         found = RobotWorkloadStatus.model_validate((item or {}).get("status") or {})
         since = found.failing_since
+        had_driven = bool(found.active) and found.health in ("Healthy", "Degraded", "Failed", "Recovering")
         return cls(
             failing_since=datetime.fromisoformat(since).timestamp() if since is not None else None,
             by_type={c.type: c for c in found.conditions or [] if c.type in CONDITIONS},
@@ -103,6 +107,7 @@ class PublishedStatus:
             situation=found.situation,
             followed=tuple(found.dependencies or ()),
             adopted=found.active or "",
+            driven_epoch=found.gate.epoch if had_driven and found.gate is not None else None,
         )
 
     @property

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -23,6 +24,9 @@ GAP = 0.5
 GRACE = 5.0
 """Seconds that a new instance has to be heard for the first time."""
 
+HEARD_WITHIN = 1.0
+"""The same for one that had driven before the monitor started."""
+
 TOPIC = "/cmd_vel"
 
 
@@ -40,6 +44,7 @@ class HealthObserver:
         """``looked`` is called with every look of the monitor."""
         self._robots, self._workload, self._looked = robots, workload, looked
         self._active = ""
+        self._expected_since = self._expected_by = -math.inf
 
     def _named(self, name: str) -> Running | None:
         found = [r for r in self._robots.running.values() if r.name == name and r.robot == self._workload]
@@ -66,6 +71,12 @@ class HealthObserver:
         found = self._named(pod)
         return found is None or found.up_at is None or found.up_at >= since
 
+    def hears_others(self) -> bool:
+        return True
+
+    def expect_samples(self, *, since: float, heard_from: float) -> None:
+        self._expected_since, self._expected_by = since, heard_from + HEARD_WITHIN
+
     def _received_since(self, since: float) -> float | None:
         last = self.last_from(self._active)
         return last if last is not None and last >= since else None
@@ -73,7 +84,7 @@ class HealthObserver:
     def verdict(self, *, now: float, since: float) -> Verdict:
         last = self._received_since(since)
         if last is None:
-            if now - since < GRACE:
+            if now < (self._expected_by if self._expected_since == since else since + GRACE):
                 return Verdict("Starting", "not heard yet", "topic", None)
             return Verdict("Failed", f"{TOPIC} was never heard", "topic", self.last_from(self._active))
         if now - last >= GAP:
@@ -83,7 +94,7 @@ class HealthObserver:
     def deadline(self, *, now: float, since: float) -> float | None:
         last = self._received_since(since)
         if last is None:
-            return since + GRACE
+            return self._expected_by if self._expected_since == since else since + GRACE
         return last + GAP if last < now else None
 
     def outputs(self, fleet: Any, gate: Any) -> Outputs:

@@ -76,6 +76,8 @@ class GivenObserver(HealthObserver):
         """Pods whose writers are of a new process."""
         self.twins: set[str] = set()
         """Pods that cannot be distinguished from others."""
+        self.others = True
+        """Whether discovery has found others in the ROS graph."""
         self.senders: list[KnownSender] = []
         """The instances that exist, and those that are gone and may still send."""
         self.heard: list[OutputSender] = []
@@ -126,6 +128,12 @@ class GivenObserver(HealthObserver):
 
     def new_process(self, pod: str, *, since: float) -> bool:
         return pod in self.restarted
+
+    def hears_others(self) -> bool:
+        return self.others
+
+    def expect_samples(self, *, since: float, heard_from: float) -> None:
+        return
 
     def ambiguous(self, pod: str) -> bool:
         return pod in self.twins

@@ -47,9 +47,18 @@ class Failure:
 class FailureDetector:
     """Judges the active instance. Times are Unix seconds."""
 
-    def __init__(self, fleet: Instances, gate: Gate, agents: AgentConnections, observer: HealthObserver) -> None:
+    def __init__(
+        self,
+        fleet: Instances,
+        gate: Gate,
+        agents: AgentConnections,
+        observer: HealthObserver,
+        driven_epoch: int | None = None,
+    ) -> None:
+        """``driven_epoch`` is the gate's epoch at which the active instance had driven before this monitor started, if that is known."""
         self._fleet, self._gate = fleet, gate
         self._agents, self._observer = agents, observer
+        self._driven_epoch = driven_epoch
         self._debounce = Debounce()
         self.since = time.time()
         """Since when the instance has been watched: messages from before do not count for it."""
@@ -91,6 +100,7 @@ class FailureDetector:
         # ``since`` can lie in the future if the clock was set back, or if it comes from another node's clock: then no
         # message would count until that time.
         self.since = min(self.since, now)
+        self._expect_samples(now)
         verdict = self._observer.verdict(now=now, since=self.since)
         if verdict.state == "Starting" and now - self.since > KNOWN_GRACE:
             # The instance is older than this monitor: the agent's report counts, not the startup grace.
@@ -98,6 +108,20 @@ class FailureDetector:
             if status is not None and status.ready_at is not None and not status.ready:
                 return Verdict("Failed", status.reason, verdict.leaf, status.ready_at)
         return verdict
+
+    def _expect_samples(self, now: float) -> None:
+        """Shorten the grace of an instance that had driven before this monitor started.
+
+        Discovery takes a moment after the start, and the network of this monitor or of the robot may be down. So the time counts only
+        once this monitor has discovered anybody else: a monitor that hears nobody knows nothing about the instance.
+        """
+        if self._driven_epoch is None:
+            return
+        if self._driven_epoch != self._gate.state.epoch:
+            self._driven_epoch = None  # the gate was opened for another instance since, which is new
+        elif self._observer.hears_others():
+            self._driven_epoch = None
+            self._observer.expect_samples(since=self.since, heard_from=now)
 
     def onset(self, pod: str, now: float) -> float:
         """Return when a pod was last seen to be healthy; ``now`` if it never was."""

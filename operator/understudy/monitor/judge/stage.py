@@ -55,7 +55,7 @@ class JudgeStage:
 
     def __init__(self, view: ClusterView, pods: Instances, gate: Gate, senses: Senses, notices: Notices) -> None:
         self._pods, self._gate, self._observer = pods, gate, senses.observer
-        self.detector = FailureDetector(pods, gate, senses.agents, senses.observer)
+        self.detector = FailureDetector(pods, gate, senses.agents, senses.observer, notices.status.driven_epoch)
         self.takeover = ReflexTakeover(view, gate, senses.observer)
         self.levels = DegradationLevel(senses.observer, notices)
         self.situations = SituationTracking(senses.observer, notices)

@@ -134,6 +134,12 @@ class HealthTree:
         self._evaluation.in_use_since = now
         self._forecast = None
 
+    def expect_samples(self, *, since: float, heard_from: float) -> None:
+        """Judge the instance in control since ``since`` as one that had been healthy before this tree was in use, and
+        that can be heard from ``heard_from`` on: topics have less time for their first message."""
+        self._evaluation.expected_since, self._evaluation.heard_from = since, heard_from
+        self._forecast = None
+
     def leave_out(self, topics: Collection[str]) -> None:
         """Judge without the leaves of these topics, because they cannot be watched: a topic that cannot be watched is
         not a failure.

@@ -118,14 +118,17 @@ class Leaf(Behaviour, ABC):
         known = [time for time in (last, found.active) if time is not None and time >= self._evaluation.since]
         return max(known, default=None)
 
-    def _nothing_received(self, state: State, what: str) -> str:
-        """Return the reason if the instance has not sent ``what``, for example the first message of a topic."""
+    def _nothing_received(self, state: State, what: str, within: float | None = None) -> str:
+        """Return the reason if the instance has not sent ``what``, for example the first message of a topic, ``within`` seconds; by
+        default, within the grace."""
+        within = self._evaluation.grace if within is None else within
         if state == "Starting":
-            return f"waiting for the first {what}, for up to {duration(self._evaluation.grace)}"
+            return f"waiting for the first {what}, for up to {duration(within)}"
         if state == "Failed" and self.tasks:
             return f"no {what}"
         if state == "Failed":
-            return f"no {what} within {duration(self._evaluation.grace)} of the start"
+            start = "the monitor's start" if self._evaluation.is_expected else "the start"
+            return f"no {what} within {duration(within)} of {start}"
         return f"no {what} yet"
 
 

@@ -298,6 +298,11 @@ class RecordedObservations:
         return None
 
 
+HEARD_WITHIN = 5.0
+"""Seconds within which an instance that already sends is heard by an observer that has discovered others. DDS participants announce
+themselves every 3 s, so that one whose first announcements were lost is discovered then; the rest is for busy machines."""
+
+
 @dataclass
 class Evaluation:
     """The time and the observations of an evaluation. All leaves of a tree share one, which is changed before each
@@ -315,7 +320,28 @@ class Evaluation:
     real: bool = True
     """False while a later time is tried, which must leave no trace."""
 
+    expected_since: float = math.nan
+    """The instance (its ``since``) that had been healthy before it was observed; NaN for none."""
+    heard_from: float = math.inf
+    """Since when that instance can be heard, in Unix seconds."""
+
+    @property
+    def is_expected(self) -> bool:
+        """Whether the instance had been healthy before it was observed. It needs no time to start, but only to be heard."""
+        return self.expected_since == self.since
+
+    @property
+    def began(self) -> float:
+        """When the instance, or this tree, was new, in Unix seconds."""
+        return max(self.since, self.in_use_since)
+
     @property
     def in_time(self) -> float:
         """Until when the instance may become healthy for the first time, in Unix seconds."""
-        return max(self.since, self.in_use_since) + self.grace
+        return self.began + self.grace
+
+    def first_by(self, interval: float) -> float:
+        """Return until when a topic may arrive for the first time, in Unix seconds, if its messages may be ``interval`` seconds apart."""
+        if not self.is_expected:
+            return self.in_time
+        return min(self.in_time, self.heard_from + max(HEARD_WITHIN, interval))

@@ -46,6 +46,11 @@ class TopicLeaf(Leaf):
             return "Failed"
         return "Starting" if "Starting" in states else "Healthy"
 
+    @property
+    def _first_by(self) -> float:
+        """Until when the topic may be healthy for the first time, in Unix seconds."""
+        return self._evaluation.first_by(max(self.gap or 0.0, self.window.length if self.window is not None else 0.0))
+
     def remember(self) -> None:
         """Note that the instance has been healthy by this leaf: its rate then has no more grace."""
         self._held = self._evaluation.since
@@ -74,7 +79,7 @@ class TopicLeaf(Leaf):
     def changes(self) -> list[float]:
         """Return the times after the evaluation at which the state may change without a further message."""
         record = self._record()
-        moments = [self._evaluation.in_time]
+        moments = [self._first_by]
         if self.tasks and (found := task_timing(self.tasks, self._evaluation)) is not None:
             moments += [found.settled]
             moments += [self._gap_limit(found, record)] if self.gap is not None else []
@@ -97,7 +102,7 @@ class TopicLeaf(Leaf):
     def _plain_reason(self, state: State) -> str:
         record = self._record()
         if record is None:
-            return self._nothing_received(state, self.topic)
+            return self._nothing_received(state, self.topic, self._first_by - self._evaluation.began)
         if state == "Healthy":
             return f"{self.topic} is received"
         gap_failed = (
@@ -113,7 +118,7 @@ class TopicLeaf(Leaf):
     def _gap_state(self) -> State:
         record, evaluation = self._record(), self._evaluation
         if record is None or record.last is None:
-            return "Starting" if evaluation.now < evaluation.in_time else "Failed"
+            return "Starting" if evaluation.now < self._first_by else "Failed"
         assert self.gap is not None
         return "Healthy" if evaluation.now < record.last + self.gap else "Failed"
 
@@ -121,7 +126,7 @@ class TopicLeaf(Leaf):
 
     def _task_state(self, found: TaskTiming) -> State:
         evaluation, record = self._evaluation, self._record()
-        in_grace = evaluation.now < evaluation.in_time
+        in_grace = evaluation.now < self._first_by
         failed: list[bool] = []
         if self.gap is not None:
             failed.append(evaluation.now >= self._gap_limit(found, record))
@@ -178,7 +183,7 @@ class TopicLeaf(Leaf):
 
     def _rate_state(self, window: Window) -> State:
         record, evaluation = self._record(), self._evaluation
-        in_grace = evaluation.now < evaluation.in_time
+        in_grace = evaluation.now < self._first_by
         if record is None:
             if in_grace:
                 return "Starting"

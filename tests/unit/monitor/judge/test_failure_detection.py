@@ -20,14 +20,17 @@ ACTIVE = Instance(name="w-1", uid="uid-1", ip="10.0.0.1", running=True, ready=Tr
 
 
 def detector(
-    *instances: Instance, last_output: float | None = None, observer: GivenObserver | None = None
+    *instances: Instance,
+    last_output: float | None = None,
+    observer: GivenObserver | None = None,
+    driven_epoch: int | None = None,
 ) -> FailureDetector:
     objects = ClusterObjects()
     objects.put_pods(*instances)
     objects.put_gate(GateState(epoch=3, active="w-1", active_uid="uid-1"))
     senses = GivenSenses(objects, observer)
     senses.observer.received_at = {"w-1": last_output} if last_output is not None else {}
-    return FailureDetector(objects.pods, objects.gate, senses.agents, senses.observer)
+    return FailureDetector(objects.pods, objects.gate, senses.agents, senses.observer, driven_epoch)
 
 
 class Evaluating(GivenObserver):
@@ -39,6 +42,12 @@ class Evaluating(GivenObserver):
 
     def verdict(self, *, now: float, since: float) -> Verdict:
         return self._evaluated.evaluate(self._observations, now=now, since=since)
+
+    def tree_begins(self, now: float) -> None:
+        self._evaluated.begin(now)
+
+    def expect_samples(self, *, since: float, heard_from: float) -> None:
+        self._evaluated.expect_samples(since=since, heard_from=heard_from)
 
 
 def test_a_running_pod_that_is_evicted_from_a_lost_node_is_not_lost() -> None:
@@ -97,3 +106,62 @@ def test_a_debounce_is_not_prolonged_by_a_clock_that_is_set_back() -> None:
     now = time.time()
     assert judging.counts_from(now, monitoring) == now + 0.2
     assert judging.counts_from(now - 3600, monitoring) == now - 3600 + 0.2
+
+
+def judging_silence(
+    leaf: dict[str, str], *, driven_epoch: int | None, hears: bool = True
+) -> tuple[FailureDetector, Evaluating]:
+    """A new monitor's detector at epoch 3 of the gate, whose policy has this leaf about /cmd_vel. Nothing is received."""
+    monitoring = Monitoring.model_validate({"yaml": {"topic": {"name": "/cmd_vel", **leaf}}})
+    observing = Evaluating(load_monitoring(monitoring), TopicRecord())
+    observing.others = hears
+    judging = detector(observer=observing, driven_epoch=driven_epoch)
+    observing.tree_begins(judging.since)
+    return judging, observing
+
+
+@pytest.mark.parametrize(
+    ("leaf", "within"),
+    [
+        ({"gap": "500ms"}, 5.0),
+        ({"gap": "12s"}, 12.0),
+        ({"rate": "> 8 Hz"}, 5.0),
+        ({"rate": "> 0.1 Hz", "window": "20s"}, 20.0),
+    ],
+)
+def test_a_silent_instance_that_had_driven_before_this_monitor_has_no_second_startup_grace(
+    leaf: dict[str, str], within: float
+) -> None:
+    judging, _ = judging_silence(leaf, driven_epoch=3)
+    start = judging.since
+    assert judging.verdict(ACTIVE, start).state == "Starting"
+    assert judging.verdict(ACTIVE, start + within - 0.1).state == "Starting"
+    found = judging.verdict(ACTIVE, start + within + 0.1)
+    assert found.state == "Failed"
+    assert f"within {within:g} s" in found.reason
+
+
+@pytest.mark.parametrize("driven_epoch", [None, 2])
+def test_an_instance_that_the_gate_was_opened_for_since_has_the_whole_startup_grace(driven_epoch: int | None) -> None:
+    judging, _ = judging_silence({"gap": "500ms"}, driven_epoch=driven_epoch)
+    start = judging.since
+    assert judging.verdict(ACTIVE, start + 29.9).state == "Starting"
+    assert judging.verdict(ACTIVE, start + 30.1).state == "Failed"
+
+
+def test_a_new_monitor_that_hears_nobody_does_not_judge_silence_early() -> None:
+    judging, observing = judging_silence({"gap": "500ms"}, driven_epoch=3, hears=False)
+    start = judging.since
+    assert judging.verdict(ACTIVE, start + 10).state == "Starting"
+    observing.others = True
+    assert judging.verdict(ACTIVE, start + 20).state == "Starting"
+    assert judging.verdict(ACTIVE, start + 24.9).state == "Starting"
+    assert judging.verdict(ACTIVE, start + 25.1).state == "Failed"
+
+
+def test_an_instance_that_takes_over_from_one_that_had_driven_has_the_whole_startup_grace() -> None:
+    judging, _ = judging_silence({"gap": "500ms"}, driven_epoch=3)
+    start = judging.since
+    judging.verdict(ACTIVE, start)
+    judging.restart(start + 1)
+    assert judging.verdict(ACTIVE, start + 30.9).state == "Starting"

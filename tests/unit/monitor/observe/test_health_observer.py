@@ -24,6 +24,7 @@ from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.failover.interfaces import GateState, Instance
 from understudy.monitor.observe.robot import degraded_tree, health_observer
 from understudy.monitor.observe.robot.health_observer import HealthObserver
+from understudy.ros.runtime.graph_node import Graph
 from understudy.trees.languages.short import health_loader
 from understudy.trees.leaves.custom_leaf import kind_of
 
@@ -96,6 +97,28 @@ async def test_the_wait_for_the_first_output_ends_with_the_task(observer: Health
     end_task()
     async with asyncio.timeout(20):
         assert await waiting is None
+
+
+def test_a_monitor_hears_others_once_discovery_has_found_a_node_that_is_not_its_own(observer: HealthObserver) -> None:
+    publisher(observer, "/beat", String)
+    observer.drain([], "")
+    assert not observer.hears_others()
+    robot = Graph("robot")
+    robot.subscribe("/cmd_vel", "geometry_msgs/msg/Twist", depth=1)
+    until(observer, observer.hears_others)
+    robot.close()
+
+
+def test_an_instance_that_had_sent_before_has_less_time_for_its_first_message_until_the_tree_changes(
+    observer: HealthObserver,
+) -> None:
+    since = time.time()
+    observer.expect_samples(since=since, heard_from=since)
+    assert observer.verdict(now=since + 4.9, since=since).state == "Starting"
+    assert observer.deadline(now=since + 4.9, since=since) == pytest.approx(since + 5)
+    assert observer.verdict(now=since + 5.1, since=since).state == "Failed"
+    observer.follow(_policy({"topic": {"name": "/beat", "type": "std_msgs/msg/String", "gap": "2s"}}), None)
+    assert observer.verdict(now=since + 5.1, since=since).state == "Starting"
 
 
 def test_an_output_with_only_a_publisher_leaf_is_not_expected(observer: HealthObserver) -> None:

@@ -395,3 +395,19 @@ async def test_a_pending_write_waits_for_the_end_of_a_recovery(monkeypatch: pyte
             await asyncio.sleep(0.1)
             assert api.writes == 0
         await until(lambda: api.writes == 1)
+
+
+@pytest.mark.parametrize(
+    ("status", "epoch"),
+    [
+        *(({"active": "w-1", "health": health}, 3) for health in ("Healthy", "Degraded", "Failed", "Recovering")),
+        *(({"active": "w-1", "health": health}, None) for health in ("Starting", "Unknown")),
+        ({"active": "", "health": "Failed"}, None),
+        ({}, None),
+    ],
+)
+def test_a_new_monitor_knows_at_which_epoch_the_active_instance_had_driven(
+    status: dict[str, str], epoch: int | None
+) -> None:
+    gate = {"epoch": 3, "active": status.get("active", "")}
+    assert PublishedStatus.adopt({"status": {**status, "gate": gate}}).driven_epoch == epoch

@@ -252,6 +252,23 @@ class HealthObserver:
             return Verdict("Starting", "the policy has no health tree that loads", "", None)
         return self._tree.evaluate(self._watching, now=now, since=since)
 
+    def expect_samples(self, *, since: float, heard_from: float) -> None:
+        """Judge the instance that is watched since a time as one that had sent before, and can be heard from another time on.
+
+        This holds until another health tree is in use. Times are Unix seconds.
+        """
+        if self._tree is not None:
+            self._tree.expect_samples(since=since, heard_from=heard_from)
+
+    def hears_others(self) -> bool:
+        """Return whether discovery has found a reader or a writer of an output in another pod or outside of the cluster."""
+        own = self.graph.node.get_fully_qualified_name()
+        for output in self._outputs:
+            ends = [*self.graph.endpoints(output), *(self.graph.subscribers(output.topic) if output.topic else ())]
+            if any(end.node != own and MIDDLEWARE.host_of(end.gid) != self._own_host for end in ends):
+                return True
+        return False
+
     def degraded_verdict(self, *, now: float, since: float) -> Verdict:
         """Return the verdict of the tree of ``spec.degraded`` on the active instance. Times are Unix seconds."""
         return self._degraded_trees.verdict(self._watching, now=now, since=since)
