@@ -57,6 +57,9 @@ def _links(pid: int | None = None) -> dict[str, bool]:
 
 # A real control plane has its own machines. Here it shares some processors with everything that it controls.
 WEIGHT = 16
+# A real cluster has its own machines too. Without a weight, all of its processes together would get as much of the processors as a
+# single one of the tests', and robots would miss their deadlines when a test starts a command.
+CLUSTER_WEIGHT = 8
 
 
 def _node_link(node: int) -> str:
@@ -67,6 +70,7 @@ def up(layout: Layout) -> int:
     """Make the bridge and its link as far as they are missing, and return the process that holds the namespace."""
     group = control_plane_group(layout)
     cgroups.create(group)
+    cgroups.weigh(layout.cgroup, CLUSTER_WEIGHT)
     cgroups.weigh(group, WEIGHT)
     pid = holder(layout)
     if pid is None:
