@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 from understudy_demo.recovery import Recovered
@@ -144,6 +144,7 @@ class Judgement:
 def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Judgement:
     """Judge one robot."""
     found = Judgement(seen.name)
+    seen = replace(seen, commits=_dated(seen.commits, seen.recoveries))
     theirs = [one for one in injected if not one.refused and affects(one, seen.index)]
 
     def violation(what: str, at: float, text: str, since: float | None = None) -> None:
@@ -208,6 +209,18 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
         if count > 1:
             violation("goal doubled", 0.0, f"goal {goal[:8]} was finished by {count} instances")
     return found
+
+
+def _dated(commits: Sequence[Commit], recoveries: Sequence[Recovered]) -> list[Commit]:
+    """Return the commits as early as their recoveries say that they may have been made: on a busy machine the watch is late by more
+    than ``LAG``."""
+    switches = {recovery.epoch: recovery.earliest_switch for recovery in recoveries}
+    return [
+        commit
+        if (switch := switches.get(commit.epoch)) is None
+        else replace(commit, since=min(switch, commit.earliest))
+        for commit in commits
+    ]
 
 
 def affects(injected: Injected, robot: int) -> bool:
@@ -325,8 +338,11 @@ def covered(windows: Iterable[tuple[float, float]], begin: float, end: float) ->
 
 
 def lost_steps(seen: Seen) -> Iterator[tuple[float, int, tuple[str, str]]]:
-    """Yield when the application's steps went back, by how many, and from which instance to which."""
-    counted = [c for c in seen.commands if c.sequence in seen.steps]
+    """Yield when the application's steps went back, by how many, and from which instance to which.
+
+    Commands count in the order in which they were sent: one that arrives late is stale, and no state is lost by it.
+    """
+    counted = sorted((c for c in seen.commands if c.sequence in seen.steps), key=lambda c: c.sent)
     for a, b in pairwise(counted):
         if (back := seen.steps[a.sequence] - seen.steps[b.sequence]) > 0:
             yield b.received, back, (a.source, b.source)

@@ -34,7 +34,7 @@ def fault(kind: str, begun: float, ended: float | None = None, *, robot: int = 0
 
 
 def recovery(detected: float, routed: float, strategy: str = "Fallback/Executing", reason: str = "") -> Recovered:
-    moments = {"detected": detected, "fenced": routed, "routed": routed}
+    moments = {"detected": detected, "decided": detected, "fenced": routed, "routed": routed}
     return Recovered(1, reason, "Recovered", strategy, "a", "b", 2, routed - detected, {}, moments)
 
 
@@ -100,6 +100,13 @@ def test_commands_before_the_commit_was_seen_are_right_and_later_ones_are_late_b
     assert found.strangers == 0
     found = judged(log(drive("a", 1, 10), drive("b", 10.3, 20)), KILLED)
     assert found.strangers == 0, "the watch may be late"
+
+
+def test_a_commit_that_the_watch_saw_late_was_made_when_its_recovery_says() -> None:
+    commands = log(drive("a", 1, 10), drive("b", 10.61, 20))
+    commits = [Commit(0.0, 1, ("a",)), Commit(11.5, 2, ("b",))]
+    assert whats(judged(commands, KILLED, commits=commits)) == ["not in control"]
+    assert whats(judged(commands, KILLED, commits=commits, recoveries=[recovery(10.5, 10.6)])) == []
 
 
 def test_while_the_gate_was_not_watched_both_may_be_right() -> None:
@@ -170,6 +177,12 @@ def test_steps_that_go_back_by_more_than_the_age_of_kept_state_are_lost() -> Non
         found = judged(commands, KILLED, steps=steps)
         assert found.lost_steps == [back - 1]
         assert whats(found) == expected
+
+
+def test_a_command_that_arrives_late_loses_no_steps() -> None:
+    commands = log(drive("a", 1, 10), drive("b", 10.61, 10.61, age=2.0), drive("b", 10.66, 20))
+    steps = {c.sequence: round(c.sent / PERIOD) for c in commands}
+    assert judged(commands, KILLED, steps=steps).lost_steps == []
 
 
 def test_goals_are_lost_without_a_success_and_doubled_when_they_are_finished_twice() -> None:
