@@ -4,7 +4,7 @@
 
 Six or more robots are driven at once, each recovered in another way: an executing standby, the same with a reflex, a
 restart, a held pod, a configured standby, and an application that counts its steps and serves goals. Every few seconds
-something fails: processes, pods, nodes, links, monitors, the operator, the API server, discovery servers, gates and
+something fails: processes, pods, nodes, links, networks, monitors, the operator, the API server, discovery servers, gates and
 labels. The seed decides what, when and to whom. Each robot's own log says which commands it received, who sent them,
 and when. It is compared with the gate's commits, the recorded recoveries and the faults.
 

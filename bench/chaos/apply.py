@@ -11,6 +11,7 @@ import json
 import os
 import signal
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -33,6 +34,21 @@ FLAP = (2.5, 1.5)
 
 RATE = "100kbit"
 """What the link of a delayed pod carries: less than what an instance sends, so that its queue is full."""
+
+FLOOD = """
+import socket, sys, time
+address, rate, seconds = sys.argv[1], int(sys.argv[2]), float(sys.argv[3])
+sender, begun, sent = socket.socket(socket.AF_INET, socket.SOCK_DGRAM), time.monotonic(), 0
+while (now := time.monotonic() - begun) < seconds:
+    while sent < now * rate:
+        try:
+            sender.sendto(bytes(1000), (address, 7410 + sent % 20))
+        except OSError:
+            pass
+        sent += 1
+    time.sleep(0.005)
+"""
+"""Sends datagrams that are no messages to the ports of a ROS domain, so many a second, for as long as it should."""
 
 LABELS = (names.POOL, names.WORKLOAD, names.INSTANCE, names.COMPONENT)
 
@@ -82,6 +98,7 @@ class Faults:
             "slow": self._slow,
             "packet-loss": self._loss,
             "packet-delay": self._delay,
+            "flood": self._flood,
             "node-power": lambda one: self._node(one, "down", "up"),
             "node-cut": lambda one: self._node(one, "cut", "connect"),
             "monitor-kill": self._monitor_kill,
@@ -185,6 +202,19 @@ class Faults:
         finally:
             _run(inside, "tc", "qdisc", "del", "dev", "eth0", "root", check=False)
 
+    @contextlib.contextmanager
+    def _flood(self, fault: Fault) -> Iterator[str]:
+        pod, robot = self._victim(fault), self._robot(fault).name
+        address = next(
+            (p.address for p in self._witness.pods() if p.name.startswith(f"{robot}-") and p.node == HOUSE), ""
+        )
+        if not address:
+            raise NotPossible(f"{robot} has no address now")
+        arguments = [address, str(fault.strength), str(fault.seconds)]
+        inside = _inside(self._processes(pod)[0])
+        with subprocess.Popen([*inside, sys.executable, "-c", FLOOD, *arguments]):
+            yield f"{pod.name} -> {address}"
+
     # -- nodes -----------------------------------------------------------------------------------------------------
 
     @contextlib.contextmanager
@@ -226,12 +256,12 @@ class Faults:
         pod = self._part(fault, "monitor")
         pids = self._processes(pod, "monitor")
         for pid in pids:
-            _run([], "prlimit", "--pid", str(pid), "--fsize=0:unlimited")
+            _run(_as_owner(pid), "prlimit", "--pid", str(pid), "--fsize=0:unlimited")
         try:
             yield pod.name
         finally:
             for pid in pids:
-                _run([], "prlimit", "--pid", str(pid), "--fsize=unlimited:unlimited", check=False)
+                _run(_as_owner(pid), "prlimit", "--pid", str(pid), "--fsize=unlimited:unlimited", check=False)
 
     @contextlib.contextmanager
     def _operator_kill(self, fault: Fault) -> Iterator[str]:
@@ -328,6 +358,12 @@ class Faults:
             change = f"{names.WORKLOAD}={self._robots[(fault.robot + 1) % len(self._robots)].workload}"
         self._kubectl("label", "--overwrite", "pod", others[0].name, change, timeout=20)
         yield f"{change} of {others[0].name}"
+
+
+def _as_owner(pid: int) -> list[str]:
+    # Limits of others need a capability that root of a container or of a small machine may lack.
+    owner = os.stat(f"/proc/{pid}")
+    return ["setpriv", f"--reuid={owner.st_uid}", f"--regid={owner.st_gid}", "--clear-groups"]
 
 
 def _inside(pid: int) -> list[str]:

@@ -46,6 +46,7 @@ KINDS = (
     Kind("slow", (3.0, 10.0), victims=(ACTIVE,), strengths=(50, 80, 95), disturbs=True),
     Kind("packet-loss", (3.0, 10.0), victims=(ACTIVE, STANDBY), strengths=(10, 30, 60), disturbs=True),
     Kind("packet-delay", (3.0, 10.0), victims=(ACTIVE, STANDBY), strengths=(100, 300), disturbs=True),
+    Kind("flood", (3.0, 8.0), victims=(ACTIVE, STANDBY), strengths=(1000, 4000), disturbs=True),
     Kind("node-power", (8.0, 15.0), "nodes", disturbs=True, delays=True, after=15.0, most=REPLACED, weight=0.5),
     Kind("node-cut", (4.0, 20.0), "nodes", disturbs=True, delays=True, after=15.0, most=REPLACED, weight=0.5),
     Kind("monitor-kill", delays=True, after=8.0),

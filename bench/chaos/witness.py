@@ -43,6 +43,7 @@ class PodSeen:
     labels: Mapping[str, str]
     ready: bool
     owner: str
+    address: str
     deleted: float
     """Unix seconds at which its grace period ends or ended; 0 if it is not being deleted."""
 
@@ -237,6 +238,7 @@ def _pod(item: Object) -> PodSeen:
         metadata.get("labels") or {},
         any((c["type"], c["status"]) == ("Ready", "True") for c in status.get("conditions") or []),
         owners[0].get("name", ""),
+        status.get("podIP", ""),
         unix(metadata["deletionTimestamp"]) if metadata.get("deletionTimestamp") else 0.0,
     )
 
