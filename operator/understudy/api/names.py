@@ -84,6 +84,12 @@ CLAIM = f"{GROUP}/claim"
 CLAIMED_AT = f"{GROUP}/claimed-at"
 """Annotation of a pool's pod: when it was claimed, in whole unix seconds."""
 
+APART = f"{GROUP}/apart-from"
+"""Annotation of a standby that must not be on the node of an instance: the name of that instance."""
+
+NOT_MOVED = f"{GROUP}/not-moved"
+"""Annotation of a standby on the node of the active instance: when its replacement elsewhere could not start, in whole unix seconds."""
+
 GATE_CLOSED = "closed"
 """Value of INSTANCE in the gate's selector while no pod may send. No pod has this name, because instances are called NAME-xxxxx."""
 

@@ -242,6 +242,7 @@ class World:
         self.resized: Object | None = None
         self.cordoned: frozenset[str] = frozenset()
         self.leaving: frozenset[str] = frozenset()
+        self.nodes: list[Object] = []
         self.budgets: list[Object] = []
         self.going: frozenset[str] = frozenset()
         self.now = NOW
@@ -275,6 +276,7 @@ class World:
             resized=self.resized,
             cordoned=self.cordoned,
             leaving=self.leaving,
+            nodes=self.nodes,
             budgets=self.budgets,
             going=self.going,
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from understudy.api import names
-from understudy.controller.desired import effective_policy
+from understudy.controller.desired import effective_policy, standby_spread
 from understudy.controller.desired.workload_plan import WorkloadPlan
 from understudy.controller.observed import (
     committed_recovery,
@@ -18,7 +18,7 @@ from understudy.controller.observed import (
 )
 from understudy.controller.observed.observation import Observed
 from understudy.controller.plan import Create, Delete, Patch, Plan
-from understudy.controller.pods import instance_pod, pod_counts
+from understudy.controller.pods import instance_pod, pod_counts, pod_placement
 from understudy.controller.pods.pool_pods import UniqueValues
 from understudy.kube.client import PODS, REPLICA_SETS, Object
 
@@ -59,11 +59,15 @@ def keep(made: Plan, observed: Observed, workload_plan: WorkloadPlan, pool: str,
         and ownership.controls(kube_objects.uid(workload), pod)
     ]
     want, spared = wanted(observed, pool), 0
+    found = _spread(observed, workload_plan, pool, mine, want)
+    if found.give_up is not None:
+        mark = {"metadata": {"annotations": {names.NOT_MOVED: str(int(observed.now))}}}
+        made.writes.append(Patch(PODS, found.give_up, mark))
     if not own_pod_may_replace(observed):
         # The pod with which a referred controller replaces the failed one has no agent, so it cannot be the standby.
         want += sum(kube_objects.is_active(pod, gate) for pod in mine) if want else 0
     elif want:
-        more, replaced = _renewed(observed, workload_plan, pool, mine, want)
+        more, replaced = _renewed(observed, workload_plan, pool, mine, want, found.move)
         want, spared = want + more, _spared(observed, pool)
         made.writes += [Delete(PODS, pod) for pod in replaced]
     change = pod_counts.change(
@@ -73,26 +77,46 @@ def keep(made: Plan, observed: Observed, workload_plan: WorkloadPlan, pool: str,
         expected=observed.expected.get(pool, 0),
         now=observed.now,
         kept=lambda pod: kube_objects.is_active(pod, gate),
-        moving=lambda pod: leaving_nodes.on(pod, observed.leaving),
+        moving=lambda pod: pod is found.move or leaving_nodes.on(pod, observed.leaving),
         hold=_held(observed),
         spared=spared,
     )
     for _ in range(change.create):
         name = fresh.name(kube_objects.name(workload))
         body = instance_pod.pod(built, name=name, namespace=workload["metadata"]["namespace"], owner=owner)
+        if found.move is not None and observed.active is not None:
+            body = pod_placement.apart_from(body, kube_objects.name(observed.active))
         made.writes.append(Create(PODS, body, counted=True))
     made.writes += [Delete(PODS, pod) for pod in change.delete]
-    if change.again_after is not None:
-        made.later(change.again_after)
+    for delay in (change.again_after, found.again_after):
+        if delay is not None:
+            made.later(delay)
+
+
+def _spread(
+    observed: Observed, workload_plan: WorkloadPlan, pool: str, mine: Sequence[Object], want: int
+) -> standby_spread.Spread:
+    """Return what to do about the nodes of a pool's standbys; nothing while one may be about to take over."""
+    if _held(observed):
+        return standby_spread.Spread()
+    standbys = [pod for pod in mine if kube_objects.alive(pod) and not kube_objects.is_active(pod, observed.gate)]
+    if own_pod_may_replace(observed):
+        standbys += replacement_standbys.of_pool(pool, observed.gate, observed.pods)
+    return standby_spread.spread(observed, dict(workload_plan.template), workload_plan.builts[pool], standbys, want)
 
 
 def _renewed(
-    observed: Observed, workload_plan: WorkloadPlan, pool: str, mine: Sequence[Object], want: int
+    observed: Observed,
+    workload_plan: WorkloadPlan,
+    pool: str,
+    mine: Sequence[Object],
+    want: int,
+    move: Object | None,
 ) -> tuple[int, list[Object]]:
     """Return the number of extra standbys during a replacement, and the workload's own pods that can be deleted.
 
-    A pod of the workload's own controller can stand in for a standby. If it has an old template, or is on a node that
-    is about to go, it waits like any standby. Like a standby, it is deleted when another one is ready. So there is one
+    A pod of the workload's own controller can stand in for a standby. If it has an old template, is on a node that is
+    about to go, or is the one to ``move`` to another node, it waits like any standby. Like a standby, it is deleted when another one is ready. So there is one
     extra standby, which is kept until the controller's next pod is ready.
     If the pod stands in for no standby (for example, if a pod of a shared pool is active), the wanted standbys exist in
     addition to it. It is then deleted only because of its template, when a pool's standbys are ready.
@@ -105,7 +129,9 @@ def _renewed(
     found = [pod for pod in observed.pods if replacement_standbys.is_own(pod)]
     outdated = [pod for pod in found if pod_counts.hash_of(pod) != own]
     moving = [
-        pod for pod in found if pool == displaced and leaving_nodes.on(pod, observed.leaving) and pod not in outdated
+        pod
+        for pod in found
+        if pool == displaced and (pod is move or leaving_nodes.on(pod, observed.leaving)) and pod not in outdated
     ]
     if not outdated and not moving:
         return 0, []

@@ -30,6 +30,22 @@ def leaving(found: Collection[Object]) -> frozenset[str]:
     return names if len(names) < len(found) else frozenset()
 
 
+def accepts(node: Object, tolerations: Collection[Object]) -> bool:
+    """Whether the scheduler may place a new pod with these tolerations on a node, as far as its state and taints decide."""
+    taints = [
+        one for one in (node.get("spec") or {}).get("taints") or [] if one.get("effect") in ("NoSchedule", "NoExecute")
+    ]
+    return not is_leaving(node) and all(any(_tolerates(one, taint) for one in tolerations) for taint in taints)
+
+
+def _tolerates(toleration: Object, taint: Object) -> bool:
+    return (
+        toleration.get("key") in (None, "", taint.get("key"))
+        and toleration.get("effect") in (None, "", taint.get("effect"))
+        and (toleration.get("operator") == "Exists" or (toleration.get("value") or "") == (taint.get("value") or ""))
+    )
+
+
 def _tainted(node: Object, taints: Collection[str]) -> bool:
     return any(taint.get("key") in taints for taint in (node.get("spec") or {}).get("taints") or [])
 

@@ -62,6 +62,8 @@ class Observed:
     """PodDisruptionBudgets of the namespace that Understudy did not create."""
     leaving: frozenset[str] = frozenset()
     """The nodes whose pods are about to go."""
+    nodes: Sequence[Object] = ()
+    """The nodes of the cluster."""
     going: frozenset[str] = frozenset()
     """The deleted shared pools that still have claimable pods, of those whose agents the monitor may command."""
 

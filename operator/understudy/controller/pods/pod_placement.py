@@ -20,7 +20,7 @@ def keep_apart(spec: Object, *, workload: str, pool: str, held: bool) -> None:
 
     If the template of a shared pool sets a placement, that placement is kept.
     """
-    if held and (spec.get("topologySpreadConstraints") or (spec.get("affinity") or {}).get("podAntiAffinity")):
+    if held and places_itself({"spec": spec}):
         return
     labels = {names.WORKLOAD: workload} if workload else {names.POOL: pool}
     terms = [away_from(labels, MOST)]
@@ -57,6 +57,27 @@ def away_from(labels: Mapping[str, str], weight: int) -> Object:
     """Return a preference for nodes without such pods. Its weight (1 to 100) is relative to other preferences."""
     term = {"topologyKey": _HOSTNAME, "labelSelector": {"matchLabels": dict(labels)}}
     return {"weight": weight, "podAffinityTerm": term}
+
+
+def places_itself(template: Mapping[str, Any]) -> bool:
+    """Whether a template has its own rules for how its pods are spread."""
+    spec = template.get("spec") or {}
+    return bool(spec.get("topologySpreadConstraints") or (spec.get("affinity") or {}).get("podAntiAffinity"))
+
+
+def apart_from(pod: Object, instance: str) -> Object:
+    """Return a pod that the scheduler does not place on the node of an instance, even if no other node has room."""
+    affinity = pod["spec"].get("affinity") or {}
+    apart = affinity.get("podAntiAffinity") or {}
+    key = "requiredDuringSchedulingIgnoredDuringExecution"
+    term = {"topologyKey": _HOSTNAME, "labelSelector": {"matchLabels": {names.INSTANCE: instance}}}
+    apart = {**apart, key: [*(apart.get(key) or []), term]}
+    annotations = {**(pod["metadata"].get("annotations") or {}), names.APART: instance}
+    return {
+        **pod,
+        "metadata": {**pod["metadata"], "annotations": annotations},
+        "spec": {**pod["spec"], "affinity": {**affinity, "podAntiAffinity": apart}},
+    }
 
 
 def leave_lost_nodes(spec: Object) -> None:

@@ -287,6 +287,20 @@ def _after_node(change: ObservedChange, store: Store) -> Iterator[Key]:
                 yield Key(plural.plural, namespace, labels[label])
         if labels.get(names.SOURCE) == "workload":
             yield from _stood_in_for(labels.get(names.WORKLOAD, ""), store, namespace)
+    if change.new is not None and not leaving_nodes.is_leaving(change.new):
+        yield from _sharing_a_node(store)
+
+
+def _sharing_a_node(store: Store) -> Iterator[Key]:
+    """Yield the workloads with several instances on one node: another node may have room for a standby now."""
+    found: set[tuple[str, str, str]] = set()
+    for pod in store.all(PODS):
+        workload, place = kube_objects.labels(pod).get(names.WORKLOAD), leaving_nodes.of(pod)
+        if workload and place:
+            namespace = pod["metadata"]["namespace"]
+            if (namespace, workload, place) in found:
+                yield Key(WORKLOADS.plural, namespace, workload)
+            found.add((namespace, workload, place))
 
 
 def _after_budget(change: ObservedChange, store: Store, namespace: str) -> Iterator[Key]:

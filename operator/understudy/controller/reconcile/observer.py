@@ -98,6 +98,7 @@ class Observer:
             resized=await self._resized(item),
             cordoned=frozenset(kube_objects.name(node) for node in store.all(NODES) if leaving_nodes.is_cordoned(node)),
             leaving=self._leaving(),
+            nodes=store.all(NODES),
             budgets=self._budgets(namespace),
             going=frozenset(self._going(namespace, store.get(ROLES, namespace, names.monitor(name)))),
         )

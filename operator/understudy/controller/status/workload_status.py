@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from functools import partial
 
 from understudy.advice import order_explanation
+from understudy.api import names
 from understudy.api.conditions import Condition, condition, merged
 from understudy.api.kinds.failure_policy import Strategy
 from understudy.controller.desired import effective_policy, node_drain, standby_pods
@@ -13,6 +14,7 @@ from understudy.controller.desired.workload_plan import WorkloadPlan
 from understudy.controller.observed import (
     dependency_graph,
     kube_objects,
+    leaving_nodes,
     pod_diagnosis,
     pool_reader,
     situation_strategies,
@@ -114,7 +116,9 @@ def _reconciled(observed: Observed, workload_plan: WorkloadPlan, problems: Seque
     if workload_plan.environment is None:
         return no("InProgress", "Waiting for the address of the discovery server's Service.")
     kept = standby_pods.awaited(observed, workload_plan)
-    if found := pod_diagnosis.first(observed.instances):
+    # If no node accepts a standby that must be elsewhere, the present ones stay, and nothing is missing.
+    unplaced = [p for p in observed.instances if names.APART in kube_objects.notes(p) and not leaving_nodes.of(p)]
+    if found := pod_diagnosis.first([pod for pod in observed.instances if pod not in unplaced]):
         return no(found.reason, f"{found.message} {kept}." if kept else found.message)
     if kept:
         return no("InProgress", f"{kept}.")
