@@ -15,6 +15,7 @@ from tests.unit.controller.world import (
     gate,
     hot,
     patched,
+    pod,
     policy,
     source_pod,
     standby_pod,
@@ -186,12 +187,14 @@ class TestOwnPod:
         assert now(made, self.own(made, "b")) == ([], [])
 
 
-def test_a_node_that_returns_reconciles_the_robots_whose_instances_share_a_node() -> None:
+@pytest.mark.parametrize("beside", ["instance", "monitor"])
+def test_a_node_that_returns_reconciles_the_robots_with_several_pods_on_one_node(beside: str) -> None:
     made, store = world(), Store()
-    crowded = [on("a", source_pod("w-a")), standby(made, "a")]
+    other = standby(made, "a") if beside == "instance" else on("a", pod("w-m", labels={names.MONITORED: "w"}))
+    crowded = [on("a", source_pod("w-a")), other]
     spread = [on("a", source_pod("v-a", of="v")), on("b", source_pod("v-b", of="v"))]
-    for pod in (*crowded, *spread):
-        store.put(PODS, pod)
+    for item in (*crowded, *spread):
+        store.put(PODS, item)
     store.put(WORKLOADS, made.workload)
     for item in (node("a"), node("b"), node("c", taint="node.kubernetes.io/unreachable")):
         store.put(NODES, item)

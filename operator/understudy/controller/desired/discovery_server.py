@@ -13,10 +13,13 @@ from understudy.ros.rmw import MIDDLEWARE
 _REQUESTS = {"cpu": "10m", "memory": "32Mi"}
 
 TOLERATIONS: list[Object] = [
-    {"key": f"node.kubernetes.io/{state}", "operator": "Exists", "effect": "NoExecute", "tolerationSeconds": 10}
-    for state in ("not-ready", "unreachable")
+    {"key": f"node.kubernetes.io/{state}", "operator": "Exists", "effect": "NoExecute", "tolerationSeconds": seconds}
+    for state, seconds in (("not-ready", 10), ("unreachable", 2))
 ]
-"""After the loss of its node, the server is replaced after 10 s instead of the default of five minutes."""
+"""The server is replaced so many seconds after the loss of its node instead of the default of five minutes.
+
+A node is unreachable only after it has been silent for some time. One that is not ready may only restart its kubelet.
+"""
 
 
 def _labels(workload: str) -> dict[str, str]:

@@ -56,12 +56,13 @@ def deployment(
     gate: str,
     tasks: bool = False,
     claim: str | None = None,
+    apart_from: str = "",
 ) -> Object:
     """Return the monitor's Deployment. Its readers have the gated ports, so that it sees what the robot sees.
 
     ``profiles`` is the text of the profile file: if it changes, a process that has read it must restart.
     ``gate`` is the kind of the workload's gate; ``tasks`` says whether the pod has an action proxy; ``claim`` is the
-    PersistentVolumeClaim for kept state.
+    PersistentVolumeClaim for kept state. ``apart_from`` is an instance whose node the monitor avoids more than those of others.
     """
     fixed = {
         "UNDERSTUDY_WORKLOAD": workload,
@@ -97,6 +98,9 @@ def deployment(
         ],
     }
     containers, shared = [container], []
+    apart = [away_from({names.WORKLOAD: workload}, _DISTANCE)]
+    if apart_from:
+        apart.append(away_from({names.INSTANCE: apart_from}, _DISTANCE))
     if tasks:
         container["volumeMounts"].append(dict(_TASKS_MOUNT))
         containers.append(_tasks(workload, namespace, settings, images, environment))
@@ -114,9 +118,7 @@ def deployment(
         "terminationGracePeriodSeconds": 5,
         "tolerations": TOLERATIONS,
         "affinity": {
-            "podAntiAffinity": {
-                "preferredDuringSchedulingIgnoredDuringExecution": [away_from({names.WORKLOAD: workload}, _DISTANCE)]
-            }
+            "podAntiAffinity": {"preferredDuringSchedulingIgnoredDuringExecution": apart},
         },
         **owned,
         **priority(images),

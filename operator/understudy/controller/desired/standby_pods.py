@@ -116,8 +116,8 @@ def _renewed(
     """Return the number of extra standbys during a replacement, and the workload's own pods that can be deleted.
 
     A pod of the workload's own controller can stand in for a standby. If it has an old template, is on a node that is
-    about to go, or is the one to ``move`` to another node, it waits like any standby. Like a standby, it is deleted when another one is ready. So there is one
-    extra standby, which is kept until the controller's next pod is ready.
+    about to go, or is the one to ``move`` to another node, it waits like any standby. Like a standby, it is deleted when
+    another one is ready. So there is one extra standby, which is kept until the controller's next pod is ready.
     If the pod stands in for no standby (for example, if a pod of a shared pool is active), the wanted standbys exist in
     addition to it. It is then deleted only because of its template, when a pool's standbys are ready.
     """

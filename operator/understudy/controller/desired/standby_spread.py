@@ -38,7 +38,8 @@ class Spread:
 def spread(observed: Observed, template: Object, built: Object, standbys: Sequence[Object], want: int) -> Spread:
     """Return which of a pool's standbys to replace on another node: one, if none that counts is on another node.
 
-    ``template`` is the user's, ``built`` that of the standbys. ``standbys`` includes a pod of the workload's own controller that waits in place of one.
+    ``template`` is the user's, ``built`` that of the standbys. ``standbys`` includes a pod of the workload's own
+    controller that waits in place of one.
     """
     active = observed.active
     if active is None or not want or len(standbys) < want or pod_placement.places_itself(template):

@@ -16,6 +16,7 @@ from understudy.controller.desired import (
     discovery_server,
     monitor_config,
     monitor_deployment,
+    monitor_placement,
     node_drain,
     standby_pods,
 )
@@ -181,6 +182,9 @@ def _monitor(
         claim = monitor_deployment.claimed(live)
     else:
         claim = policy_reader.spec(observed.policies[spec.failure_policy_ref.name]).state.storage.claim_name
+    placement = monitor_placement.placement(observed)
+    if placement.again_after is not None:
+        made.later(placement.again_after)
     body = monitor_deployment.deployment(
         name,
         namespace,
@@ -191,6 +195,7 @@ def _monitor(
         gate=spec.gate.kind,
         tasks=action_proxy_container.proxied(spec),
         claim=claim,
+        apart_from=placement.apart_from,
     )
     for kind, granted in monitor_deployment.access(
         name,

@@ -292,10 +292,11 @@ def _after_node(change: ObservedChange, store: Store) -> Iterator[Key]:
 
 
 def _sharing_a_node(store: Store) -> Iterator[Key]:
-    """Yield the workloads with several instances on one node: another node may have room for a standby now."""
+    """Yield the workloads with several pods on one node: another node may have room for a standby or the monitor now."""
     found: set[tuple[str, str, str]] = set()
     for pod in store.all(PODS):
-        workload, place = kube_objects.labels(pod).get(names.WORKLOAD), leaving_nodes.of(pod)
+        labels, place = kube_objects.labels(pod), leaving_nodes.of(pod)
+        workload = labels.get(names.WORKLOAD) or labels.get(names.MONITORED)
         if workload and place:
             namespace = pod["metadata"]["namespace"]
             if (namespace, workload, place) in found:
