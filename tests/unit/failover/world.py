@@ -54,6 +54,10 @@ class Store:
     """Pods (by name) whose procedures fail."""
     endless: set[str] = field(default_factory=set)
     """Pods (by name) whose procedures don't end before their time does."""
+    silent: set[str] = field(default_factory=set)
+    """Pods (by name) whose agents don't answer."""
+    answering: set[str] = field(default_factory=set)
+    """Pods (by name) whose agents report healthy outputs although Kubernetes reports the pod as not ready."""
     refusal: str = ""
     """Why no pod can be given any state."""
     others_claim: set[str] = field(default_factory=set)
@@ -293,6 +297,8 @@ class _Agents(_Part):
     async def start(self, instance: Instance) -> None:
         self.world.effect()
         self._assert_behind_the_gate(instance, "a process was started")
+        while instance.name in self.store.silent:
+            await asyncio.sleep(PERIOD)
         self.store.started.add(instance.name)
         self.world.effect()
 
@@ -335,7 +341,8 @@ class _Agents(_Part):
         self.store.followed = {instance.name for instance in instances}
 
     def is_ready(self, instance: Instance) -> tuple[bool, str]:
-        return instance.ready, "" if instance.ready else "no /cmd_vel for 500 ms"
+        ready = instance.ready or instance.name in self.store.answering
+        return ready, "" if ready else "no /cmd_vel for 500 ms"
 
 
 class _Outputs(_Part):

@@ -15,6 +15,7 @@ from understudy.failover.strategies.steps import (
     committed_target,
     loop_time,
     make_drivable,
+    on_other_nodes_first,
     open_for,
     wait_enforced,
 )
@@ -75,7 +76,7 @@ class ExecutingFallback(Strategy):
                 return await self._behind_the_gate(candidates, progress, context, within)
             # Readers with exclusive ownership may follow the admitted standby already. Otherwise a pod of the pool comes first:
             # the workload's own controller may be about to replace its pod.
-            target = self._best(candidates, context)
+            target = self._best(candidates, progress, context, context.gate.state.admitted_uid)
             await open_for(target, progress, context)
         await wait_enforced(target, progress, context)
         return target
@@ -88,9 +89,15 @@ class ExecutingFallback(Strategy):
             await make_drivable(target, progress, context, self.recovery, within=within)
         return target
 
-    def _best(self, candidates: Collection[Instance], context: StrategyContext) -> Instance:
-        admitted = context.gate.state.admitted_uid
-        return min(candidates, key=lambda i: (i.uid != admitted, i.pool != self.pool, i.created, i.name))
+    def _best(
+        self, candidates: Collection[Instance], progress: Progress, context: StrategyContext, first: str = ""
+    ) -> Instance:
+        """Return the candidate with the UID ``first``, or the best one.
+
+        A pod that Kubernetes reports as not ready is probably on a node that is lost or about to be, although its agent answers.
+        """
+        ordered = sorted(candidates, key=lambda i: (not i.ready, i.pool != self.pool, i.created, i.name))
+        return min(on_other_nodes_first(ordered, progress, context), key=lambda i: i.uid != first)
 
     def _fitting(self, progress: Progress, context: StrategyContext, unfit: Unfit) -> Instance:
         """Return the best standby for a planned switchover. Raises NotAvailable."""
@@ -99,7 +106,7 @@ class ExecutingFallback(Strategy):
             raise NotAvailable(self.available(context, progress) or "no standby is ready")
         reasons = [(i, unfit(i)) for i in candidates]
         if fitting := [i for i, reason in reasons if reason is None]:
-            return self._best(fitting, context)
+            return self._best(fitting, progress, context, context.gate.state.admitted_uid)
         raise NotAvailable("; ".join(f"{i.name} {reason}" for i, reason in reasons))
 
     async def _behind_the_gate(
@@ -108,7 +115,7 @@ class ExecutingFallback(Strategy):
         """Close the gate, bring a standby up, open the gate for it."""
         end = loop_time() + within
         target_uid = progress.target.uid if progress.target is not None else ""  # by an earlier monitor
-        target = min(candidates, key=lambda i: (i.uid != target_uid, i.pool != self.pool, i.created, i.name))
+        target = self._best(candidates, progress, context, target_uid)
         await close(progress, context)
         progress.target = PodIdentity(name=target.name, uid=target.uid)
         progress.charge("cluster", context.clock())

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Coroutine
+from collections.abc import Coroutine, Iterable
 from typing import Any
 
 from understudy.api.protocol.kept_state import KeptState
 from understudy.failover.bring_up import BringUp
-from understudy.failover.interfaces import Instance
+from understudy.failover.interfaces import Instance, NotVerified
 from understudy.failover.pool_queue import Waiter
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.strategies.base import StrategyContext
@@ -44,6 +44,17 @@ def committed_target(progress: Progress, context: StrategyContext) -> Instance |
     if target is not None:
         progress.target = PodIdentity(name=target.name, uid=target.uid)
     return target
+
+
+def on_other_nodes_first(
+    candidates: Iterable[Instance], progress: Progress, context: StrategyContext
+) -> list[Instance]:
+    """Return the candidates in their order, but those on the nodes of failed instances last.
+
+    The node may be what failed, and Kubernetes reports that only some time later.
+    """
+    failed = {i.node for i in context.instances.of_workload() if progress.has_failed(i.uid)} - {""}
+    return sorted(candidates, key=lambda i: i.node in failed)
 
 
 def claim_of(progress: Progress, context: StrategyContext) -> str:
@@ -95,6 +106,21 @@ async def open_for(target: Instance, progress: Progress, context: StrategyContex
     finally:
         committing.cancel()
     progress.moments["committed"] = context.clock()
+
+
+async def start_answered(target: Instance, context: StrategyContext, *, within: float) -> None:
+    """Start the processes of a held pod. Raises NotVerified if its agent does not answer for so long, while the API server does."""
+    starting = asyncio.create_task(context.agents.start(target))
+    away = False
+    try:
+        while not (await asyncio.wait((starting,), timeout=within))[0]:
+            was_away, away = away, context.gate.unanswered_since is not None
+            if not away and not was_away:
+                place = f" on node {target.node}" if target.node else ""
+                raise NotVerified(f"the agent of pod {target.name}{place} did not answer within {within:.3g} s")
+        starting.result()
+    finally:
+        starting.cancel()
 
 
 async def started(target: Instance, progress: Progress, context: StrategyContext) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from understudy.failover.availability import PODS_CLAIMED, Availability, Pool, Problem, Resources, fallback
 from understudy.failover.bring_up import BringUp
-from understudy.failover.interfaces import ClaimLost, ClaimsLost, Instance, NotAvailable
+from understudy.failover.interfaces import ClaimLost, ClaimsLost, Instance, NotAvailable, NotVerified
 from understudy.failover.pool_queue import YIELD_MOST, Waiter, at_once, before, in_order, left_by, turn
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.strategies.base import Strategy, StrategyContext, Unfit
@@ -22,8 +22,17 @@ from understudy.failover.strategies.steps import (
     join,
     loop_time,
     make_drivable,
+    on_other_nodes_first,
+    start_answered,
     started,
 )
+
+ANSWER_WITHIN = 8.0
+"""Seconds within which the agent of a claimed pod must answer, at most a third of the strategy's time. It ran before the claim, so it is
+not starting: its node was probably lost, which Kubernetes reports only later. A weak network takes some seconds to admit the monitor."""
+
+CLAIMS_MOST = 2
+"""How many pods one attempt claims if their agents do not answer. The cause may be the network of the monitor itself."""
 
 
 class UninitializedFallback(Strategy):
@@ -140,21 +149,41 @@ class UninitializedFallback(Strategy):
         if (target := await enforced_target(progress, context)) is not None:
             return target
         end = loop_time() + within
-        target = await self._claimed_or_claim(progress, context)
+        target = await self._claim_and_start(progress, context, within=min(ANSWER_WITHIN, within / 3))
+        await started(target, progress, context)
+        await bring_up_and_open(target, progress, context, self.recovery, end=end)
+        return target
+
+    async def _claim_and_start(self, progress: Progress, context: StrategyContext, *, within: float) -> Instance:
+        """Return a pod whose processes start: the first one, or another one if its agent does not answer. Raises NotVerified."""
+        left = CLAIMS_MOST
+        while True:
+            target = await self._claimed_or_claim(progress, context)
+            try:
+                await self._start(target, progress, context, within=within)
+                return target
+            except NotVerified:
+                left -= 1
+                progress.fail_target()
+                await self.refresh(context, progress)
+                if not left or not self._free(progress, context):
+                    progress.target = PodIdentity(name=target.name, uid=target.uid)
+                    raise
+
+    async def _start(self, target: Instance, progress: Progress, context: StrategyContext, *, within: float) -> None:
+        """Start the processes of a claimed pod. Raises NotVerified if its agent does not answer."""
         progress.moments["claimed"] = context.clock()
         progress.target = PodIdentity(name=target.name, uid=target.uid)
         progress.charge("cluster", context.clock())
         waited, progress.waiting = progress.waiting, None
         context.save(progress)
+        starting = start_answered(target, context, within=within)
         if waited is None:
-            await context.agents.start(target)
+            await starting
         else:
             context.queue.served(waited, target.name)
             # Other workloads in the queue learn from the gate that this one no longer waits; meanwhile the processes start.
-            await both(context.agents.start(target), context.gate.commit(None, progress))
-        await started(target, progress, context)
-        await bring_up_and_open(target, progress, context, self.recovery, end=end)
-        return target
+            await both(starting, context.gate.commit(None, progress))
 
     async def make_ready(
         self, progress: Progress, context: StrategyContext, *, within: float, unfit: Unfit
@@ -216,11 +245,11 @@ class UninitializedFallback(Strategy):
         """Return the pods that it may take, in the order in which it tries to claim them."""
         others = context.queue.others(self.pool)
         ahead = before(self._place(progress, context), others, context.clock())
-        candidates = left_by(ahead, self._free(progress, context))
+        candidates = on_other_nodes_first(left_by(ahead, self._free(progress, context)), progress, context)
         if progress.waiting is None and not others:
             # If many robots fail at once, each starts with another pod: otherwise all but one would lose the race for the first
             # pod, and again for the second. Workloads that wait have an order instead.
-            return apart(candidates, context.workload_uid)
+            return on_other_nodes_first(apart(candidates, context.workload_uid), progress, context)
         return candidates
 
 
