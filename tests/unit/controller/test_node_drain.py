@@ -170,6 +170,38 @@ def test_a_disruption_budget_of_the_user_replaces_that_of_the_operator() -> None
     assert_golden("operator", (condition(made) or {})["message"], "PodDisruptionBudget theirs")
 
 
+def test_evictions_are_not_held_while_the_spec_is_refused_because_the_monitor_is_not_informed_of_the_drain() -> None:
+    made = world()
+    made.build()
+    made.workload["spec"]["template"]["spec"]["hostNetwork"] = True
+    assert deleted(made.plan()) == [], "no node is drained"
+    made.cordoned = frozenset({"node-1"})
+    assert deleted(made.plan()) == ["w-in-control"]
+    found = condition(made)
+    assert found is not None
+    assert (found["status"], found["reason"]) == ("False", "NotAccepted")
+
+
+def test_evictions_are_not_held_while_the_address_of_the_discovery_server_is_unknown() -> None:
+    made = world()
+    made.build()
+    del made.owned["services", names.discovery("w")]
+    made.cordoned = frozenset({"node-1"})
+    assert "w-in-control" in deleted(made.plan())
+
+
+@pytest.mark.parametrize("health", ["Recovering", "Failed"])
+def test_evictions_of_a_fenced_instance_that_stays_are_not_held(health: str) -> None:
+    made = world()
+    made.build()
+    made.own(gate(made.workload, epoch=2))
+    made.workload["status"] = {"health": health}
+    made.cordoned = frozenset({"node-2"})
+    assert deleted(made.plan()) == []
+    made.cordoned = frozenset({"node-1"})
+    assert deleted(made.plan()) == ["w-in-control"]
+
+
 def test_a_drain_causes_an_event() -> None:
     made = world()
     made.cordoned = frozenset({"node-1"})

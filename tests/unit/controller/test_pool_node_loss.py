@@ -94,7 +94,11 @@ class TestLeavingNodes:
         store.put(POOLS, pool)
         store.put(NODES, node("n", unschedulable=True))
         store.put(NODES, node("m"))
-        assert (await Observer(client, store, Expectations()).pool(pool)).leaving == {"n"}
+        found = await Observer(client, store, Expectations()).pool(pool)
+        assert (found.leaving, found.cordoned) == ({"n"}, {"n"})
+        store.put(NODES, node("m", version=9, unschedulable=True))
+        found = await Observer(client, store, Expectations()).pool(pool)
+        assert (found.leaving, found.cordoned) == (set(), {"n", "m"})
 
 
 class TestSharedPool:
@@ -201,6 +205,18 @@ class TestEvictions:
         assert not self.release(observed)
         assert plan(observed).again_after == pytest.approx(1)
         assert self.release(leaving(observe(self.moving(pool, since=NOW - 120), held(pool, "n")), "n"))
+
+    def test_the_budget_is_removed_if_every_node_is_drained_because_no_replacement_would_come(self) -> None:
+        pool = spare(replicas=2)
+        pods = held(pool, "n", "m")
+        assert not self.release(replace(observe(pool, pods), cordoned=frozenset({"o"})))
+        drained = replace(observe(pool, pods), cordoned=frozenset({"n"}))
+        assert self.release(drained)
+        (moving,) = (c for c in status(drained)["conditions"] if c["type"] == "Moving")
+        assert (moving["status"], moving["reason"]) == ("False", "NoOtherNode")
+        refused = spare(replicas=2)
+        del refused["spec"]["template"]["spec"]["containers"][0]["command"]
+        assert self.release(replace(observe(refused, pods), cordoned=frozenset({"n"})))
 
     def test_the_budget_is_removed_if_the_pool_creates_no_pods(self) -> None:
         pool = spare(replicas=1)

@@ -19,7 +19,7 @@ from understudy.controller.desired.workload_plan import WorkloadPlan
 from understudy.controller.observed import kube_objects, leaving_nodes
 from understudy.controller.observed.observation import Observed
 from understudy.controller.pods import pool_evictions
-from understudy.kube.client import Object
+from understudy.kube.client import DISRUPTION_BUDGETS, Object
 
 CONDITION = "Draining"
 
@@ -33,6 +33,18 @@ def drain_of(observed: Observed) -> Drain | None:
     present = settings.drain if settings is not None else None
     since = min(present.since, now) if present is not None and (present.uid, present.node) == (uid, node) else now
     return Drain(uid=uid, node=node, since=since, cordoned=sorted(cordoned))
+
+
+def held_in_vain(observed: Observed) -> bool:
+    """Whether the budget refuses evictions from a cordoned node although no switchover will come that they could wait for.
+
+    That is so while the gate is closed, or the monitor is not informed of the drain because the spec is refused.
+    """
+    live = observed.owned.get((DISRUPTION_BUDGETS.plural, names.in_control(kube_objects.name(observed.workload))))
+    if live is None or kube_objects.deleted(live):
+        return False
+    selected = [pod for pod in observed.pods if pool_evictions.selects(live, kube_objects.labels(pod))]
+    return any(kube_objects.alive(pod) and leaving_nodes.on(pod, observed.cordoned) for pod in selected)
 
 
 @dataclass(frozen=True)
@@ -98,9 +110,12 @@ def budget(workload: str, active: Object) -> Object:
 def conditions(observed: Observed, workload_plan: WorkloadPlan) -> list[Condition]:
     """Return the condition Draining; empty unless the node is drained."""
     active, drain = observed.active, drain_of(observed)
-    if workload_plan.spec is None or drain is None or active is None:
+    if drain is None or active is None:
         return []
-    found = hold(observed, workload_plan)
+    if workload_plan.problem is None and workload_plan.spec is not None:
+        found = hold(observed, workload_plan)
+    else:
+        found = Hold("NotAccepted", "the spec is not accepted (see Accepted), so no switchover is prepared")
     message = f"Node {drain.node}, where the active instance {kube_objects.name(active)} runs, is cordoned."
     if not found.holds:
         then = f"Understudy does not delay evictions of this pod: {found.message}."

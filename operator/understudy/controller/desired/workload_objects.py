@@ -59,10 +59,12 @@ def plan(observed: Observed, workload_plan: WorkloadPlan, images: Images, fresh:
         # With rivals, both workloads would label the same pods in turn, and each time fence the active instance.
         made.writes += workload_reference.labelling(kube_objects.name(workload), observed.pods, observed.reference)
     if workload_plan.problem is not None or spec is None:
+        _permit_evictions_in_vain(made, observed)
         return made
     _discover(made, observed, spec, images)
     environment = workload_plan.environment
     if environment is None:
+        _permit_evictions_in_vain(made, observed)
         return made
     _gate(made, observed, spec)
     _hold(made, observed, workload_plan)
@@ -137,7 +139,7 @@ def _gate(made: Plan, observed: Observed, spec: RobotWorkloadSpec) -> None:
 def _hold(made: Plan, observed: Observed, workload_plan: WorkloadPlan) -> None:
     """Maintain the budget of the active instance.
 
-    During a recovery, when none is active, it stays unchanged and selects nothing.
+    During a recovery, when none is active, it stays unchanged. It then selects nothing, or a failed pod that stays.
     """
     found, active, name = (
         node_drain.hold(observed, workload_plan),
@@ -145,6 +147,7 @@ def _hold(made: Plan, observed: Observed, workload_plan: WorkloadPlan) -> None:
         kube_objects.name(observed.workload),
     )
     if active is None:
+        _permit_evictions_in_vain(made, observed)
         return
     live = observed.owned.get((DISRUPTION_BUDGETS.plural, names.in_control(name)))
     if found.holds:
@@ -153,6 +156,13 @@ def _hold(made: Plan, observed: Observed, workload_plan: WorkloadPlan) -> None:
         made.writes.append(Delete(DISRUPTION_BUDGETS, live))
     if found.until is not None:
         made.later(max(0.0, found.until - observed.now))
+
+
+def _permit_evictions_in_vain(made: Plan, observed: Observed) -> None:
+    """Delete the budget if a drain would wait for it without an end."""
+    if node_drain.held_in_vain(observed):
+        name = names.in_control(kube_objects.name(observed.workload))
+        made.writes.append(Delete(DISRUPTION_BUDGETS, observed.owned[DISRUPTION_BUDGETS.plural, name]))
 
 
 def _configure(made: Plan, observed: Observed, workload_plan: WorkloadPlan, environment: Mapping[str, str]) -> None:

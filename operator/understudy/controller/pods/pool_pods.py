@@ -61,6 +61,8 @@ class Observed:
     """The workloads that claim a pod of it when they fail, if its size follows the failure rate."""
     leaving: frozenset[str] = frozenset()
     """The nodes whose pods are about to go."""
+    cordoned: frozenset[str] = frozenset()
+    """The nodes that are being drained or are cordoned, also if there is no other node."""
     budgets: Sequence[Object] = ()
     """PodDisruptionBudgets of the namespace that Understudy did not create."""
     secret: Object | None = None
@@ -165,7 +167,7 @@ def plan(observed: Observed, pool_plan: PoolPlan, fresh: UniqueValues) -> Plan:
     spec, built = pool_plan.spec, pool_plan.built
     if pool_plan.problem is not None or spec is None or built is None or kube_objects.deleted(observed.pool):
         made.writes += claim_tokens.release(kube_objects.name(observed.pool), observed.secret)
-        if any(leaving_nodes.on(pod, observed.leaving) for pod in observed.pods):
+        if any(leaving_nodes.on(pod, observed.leaving | observed.cordoned) for pod in observed.pods):
             _permit_evictions(made, observed)  # there will be no replacements
         return made
     pool, name = observed.pool, kube_objects.name(observed.pool)
@@ -214,7 +216,12 @@ def _hold(made: Plan, observed: Observed, living: Sequence[Object], built: Objec
     moving = any(leaving_nodes.on(pod, observed.leaving) for pod in living)
     coming = [pod for pod in living if not kube_objects.ready(pod) and not leaving_nodes.on(pod, observed.leaving)]
     left = pool_evictions.patience(coming, _moving_since(observed), observed.now) if moving else pool_evictions.PATIENCE
-    if not want or not left or pool_evictions.decided_elsewhere(observed.budgets, built["metadata"]["labels"]):
+    if (
+        not want
+        or not left
+        or stranded(observed, living)
+        or pool_evictions.decided_elsewhere(observed.budgets, built["metadata"]["labels"])
+    ):
         _permit_evictions(made, observed)
         return
     owner = kube_objects.owner("FallbackPool", observed.pool)
@@ -223,6 +230,11 @@ def _hold(made: Plan, observed: Observed, living: Sequence[Object], built: Objec
     )
     if moving:
         made.later(left)
+
+
+def stranded(observed: Observed, pods: Sequence[Object]) -> bool:
+    """Whether pods are on a node that is drained while no other node remains, so that no replacements are created."""
+    return not observed.leaving and any(leaving_nodes.on(pod, observed.cordoned) for pod in pods)
 
 
 def _moving_since(observed: Observed) -> float:

@@ -96,7 +96,7 @@ class Observer:
             rivals=self._rivals(item),
             dependencies=self._dependencies(item),
             resized=await self._resized(item),
-            cordoned=frozenset(kube_objects.name(node) for node in store.all(NODES) if leaving_nodes.is_cordoned(node)),
+            cordoned=self._cordoned(),
             leaving=self._leaving(),
             nodes=store.all(NODES),
             budgets=self._budgets(namespace),
@@ -124,6 +124,10 @@ class Observer:
         """Return the PodDisruptionBudgets that Understudy did not create."""
         found = self._store.in_namespace(DISRUPTION_BUDGETS, namespace).values()
         return [budget for budget in found if not pool_evictions.is_ours(budget)]
+
+    def _cordoned(self) -> frozenset[str]:
+        """Return the nodes that are being drained or are cordoned."""
+        return frozenset(kube_objects.name(node) for node in self._store.all(NODES) if leaving_nodes.is_cordoned(node))
 
     def _leaving(self) -> frozenset[str]:
         """Return the nodes whose pods are about to go."""
@@ -234,6 +238,7 @@ class Observer:
             spared=sum(self._spared(item, workload) for workload in found.values()),
             asking=[workload for workload in found.values() if self._asks(item, workload)],
             leaving=self._leaving(),
+            cordoned=self._cordoned(),
             budgets=self._budgets(namespace),
             secret=secret,
         )

@@ -161,12 +161,14 @@ def _available(observed: pool_pods.Observed, spec: FallbackPoolSpec, counts: Cou
 
 
 def _moving(observed: pool_pods.Observed) -> list[Condition]:
-    """Return the condition for pods that are replaced because their node is about to go; empty if there are none."""
+    """Return the condition for pods whose node is about to go; empty if there are none."""
     made = [pod for pod in observed.pods if kube_objects.alive(pod) and kube_objects.uid(pod) not in observed.active]
     waiting = [*made, *observed.replacement_standbys]
-    found = [
-        pod for pod in waiting if names.CLAIM not in kube_objects.notes(pod) and leaving_nodes.on(pod, observed.leaving)
-    ]
+    unclaimed = [pod for pod in waiting if names.CLAIM not in kube_objects.notes(pod)]
+    if pool_pods.stranded(observed, unclaimed):
+        message = "Every node is being drained, so no unclaimed pod is replaced. Evictions of these pods do not wait."
+        return [condition(pool_pods.MOVING, False, "NoOtherNode", message)]
+    found = [pod for pod in unclaimed if leaving_nodes.on(pod, observed.leaving)]
     if not found:
         return []
     places = sorted({leaving_nodes.of(pod) for pod in found})
