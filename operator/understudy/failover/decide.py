@@ -28,7 +28,7 @@ class Trigger(StrEnum):
     REFLEX_TAKEOVER = "ReflexTakeover"
     """The robot's own readers already follow a standby."""
     POD_LOST = "PodLost"
-    """The pod of the active instance is deleted, gone or no longer running."""
+    """The pod of the active instance is deleted, gone or no longer running, or it restarted while no monitor watched."""
     DEPENDENCY_RECOVERED = "DependencyRecovered"
     """A workload in spec.dependsOn recovered, and this workload has to react."""
     HEALTH_FAILED = "HealthFailed"

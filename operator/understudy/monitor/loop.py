@@ -77,7 +77,8 @@ class MonitorLoop:
             kept=parts.state_manager.select,
         )
         self.observe = ObserveStage(cluster.view, senses, notices)
-        self.judge = JudgeStage(cluster.view, cluster.pods, cluster.gate, senses, notices)
+        kept_from = parts.state_manager.source
+        self.judge = JudgeStage(cluster.view, cluster.pods, cluster.gate, senses, kept_from, notices)
         self.decide = DecideStage(cluster.view, senses.agents, context, self.judge, self.observe.dependencies, notices)
         self.act = ActStage(cluster, senses, parts.state_manager, parts.journal, self.decide, notices)
         self.report = ReportStage(cluster, senses.observer, self.decide, self.act, notices)
@@ -138,7 +139,9 @@ class MonitorLoop:
             self._notices.set(health="Unknown")
             return Resolution(Wait("NoGate"))
         paused = self.decide.limits.pauses.on is not None
-        if not paused:
+        if paused:
+            self.judge.unseen_restart.ignore()  # the user who paused decides about the instance
+        else:
             await self.act.restore_routing()
         judgement = self.judge.judge(policy, now, self.observe.schedule.trusted_from)
         self.report.judged(judgement)

@@ -94,6 +94,10 @@ class Middleware(ABC):
         """Return the part of an endpoint's GID that all endpoints of its host have in common."""
 
     @abstractmethod
+    def process_of(self, gid: bytes) -> bytes:
+        """Return the part of an endpoint's GID that identifies its process. A process that restarts has another one."""
+
+    @abstractmethod
     def host_at(self, address: str) -> bytes:
         """Return what :meth:`host_of` returns for the endpoints of a host with one IP address.
 

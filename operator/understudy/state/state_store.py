@@ -15,6 +15,7 @@ import os
 import struct
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from understudy.state.state_capture import Key, Version
@@ -31,6 +32,17 @@ _HEADER = struct.Struct(">4s32sI")
 _BOOT = Path("/proc/sys/kernel/random/boot_id")
 
 
+@dataclass(frozen=True)
+class StateSource:
+    """The instance from which state is kept, and its processes."""
+
+    uid: str
+    restarts: int
+    """How often its containers had been restarted."""
+    processes: frozenset[bytes] = frozenset()
+    """What identifies its processes in the GIDs of their writers."""
+
+
 class StateStore:
     """A directory of kept state."""
 
@@ -39,13 +51,15 @@ class StateStore:
         self._blobs: set[str] = set()
         self._boot = _boot()
         self._made = False
+        self.source: StateSource | None = None
+        """The instance from which the loaded state is; None if that is not known."""
 
     @property
     def _index(self) -> Path:
         return self._directory / "kept"
 
-    def save(self, kept: Mapping[Key, Sequence[Version]]) -> None:
-        """Replace the stored state. Raises OSError."""
+    def save(self, kept: Mapping[Key, Sequence[Version]], source: StateSource | None = None) -> None:
+        """Replace the stored state, which is from an instance. Raises OSError."""
         if not self._made:
             self._directory.mkdir(parents=True, exist_ok=True)
         self._made = False  # until everything is written
@@ -64,7 +78,11 @@ class StateStore:
             same = types[0] if len(set(types)) == 1 else types
             entries.append([key.kind, key.name, same, listed])
         clock = {"boot": self._boot, "offset": time.time() - time.clock_gettime(time.CLOCK_BOOTTIME)}
-        text = json.dumps({"clock": clock, "entries": entries}, separators=(",", ":")).encode()
+        document: dict[str, object] = {"clock": clock, "entries": entries}
+        if source is not None:
+            processes = sorted(process.hex() for process in source.processes)
+            document["source"] = {"uid": source.uid, "restarts": source.restarts, "processes": processes}
+        text = json.dumps(document, separators=(",", ":")).encode()
         body = struct.pack(">I", len(text)) + text + b"".join(parts)
         _replace(self._index, _MAGIC + hashlib.sha256(body).digest() + body)
         for name in self._blobs - needed:
@@ -120,6 +138,9 @@ class StateStore:
                 if data is not None:
                     version = Version(taken_at + step, good_from + step, data, type_)
                     found.setdefault(Key(kind, name), []).append(version)
+        if (source := document.get("source")) is not None:
+            processes = frozenset(bytes.fromhex(process) for process in source["processes"])
+            self.source = StateSource(source["uid"], source["restarts"], processes)
         return found
 
     def _blob(self, name: str) -> bytes | None:

@@ -27,6 +27,8 @@ class RobotReaders:
 class Keeping:
     """Nothing is kept."""
 
+    source = None
+
     def take(self, *_: Any) -> None:
         return
 

@@ -71,6 +71,9 @@ class HealthObserver:
         found = self._named(pod)
         return found is None or found.up_at is None or found.up_at >= since
 
+    def processes(self, pod: str) -> frozenset[bytes]:
+        return frozenset()
+
     def hears_others(self) -> bool:
         return True
 

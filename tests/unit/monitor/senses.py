@@ -74,6 +74,8 @@ class GivenObserver(HealthObserver):
         """When each topic was received from each pod, of late."""
         self.restarted: set[str] = set()
         """Pods whose writers are of a new process."""
+        self.heard_processes: dict[str, frozenset[bytes]] = {}
+        """The processes from which outputs of each pod were received."""
         self.twins: set[str] = set()
         """Pods that cannot be distinguished from others."""
         self.others = True
@@ -128,6 +130,9 @@ class GivenObserver(HealthObserver):
 
     def new_process(self, pod: str, *, since: float) -> bool:
         return pod in self.restarted
+
+    def processes(self, pod: str) -> frozenset[bytes]:
+        return self.heard_processes.get(pod, frozenset())
 
     def hears_others(self) -> bool:
         return self.others

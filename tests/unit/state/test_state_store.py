@@ -10,7 +10,7 @@ import pytest
 
 from understudy.state import state_store as module
 from understudy.state.state_capture import Key, Version
-from understudy.state.state_store import LARGE, StateStore
+from understudy.state.state_store import LARGE, StateSource, StateStore
 
 POSE, MAP, NODE = Key("Topic", "/amcl_pose"), Key("Topic", "/map"), Key("Lifecycle", "/amcl")
 CHART = os.urandom(LARGE + 5)
@@ -30,6 +30,15 @@ def test_saved_state_is_loaded(tmp_path: Path) -> None:
     kept = versions()
     StateStore(tmp_path / "state").save(kept)
     assert StateStore(tmp_path / "state").load() == kept
+
+
+@pytest.mark.parametrize("source", [None, StateSource("uid-1", 2, frozenset({b"12 bytes long", b"another"}))])
+def test_the_instance_from_which_state_is_kept_is_loaded_with_it(tmp_path: Path, source: StateSource | None) -> None:
+    StateStore(tmp_path).save(versions(), source)
+    later = StateStore(tmp_path)
+    assert later.source is None
+    assert later.load()
+    assert later.source == source
 
 
 def test_an_empty_store_has_no_state(tmp_path: Path) -> None:

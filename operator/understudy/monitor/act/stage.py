@@ -57,7 +57,7 @@ class ActStage:
         self.deferral = DeferredRecovery(cluster, limits, current, journal, notices)
         self.recoveries = RecoveryRunner(cluster.view, options, state_manager, current, self.abandonment, notices)
         self._labels = PodLabels(cluster.pods)
-        self._standbys = StandbySupervision(cluster, senses.agents, senses.roles, current, state_manager, notices)
+        self._standbys = StandbySupervision(cluster, senses, state_manager, decide.unseen_restart, notices)
 
     def judged(self, judgement: Judgement) -> None:
         """Note the judgement: state is kept and no safe command is sent while the active instance is healthy."""

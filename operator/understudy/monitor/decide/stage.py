@@ -79,6 +79,7 @@ class DecideStage:
         self._view, self._gate, self._notices = view, context.gate, notices
         self._levels, self._dependencies = judge.levels, dependencies
         self.takeover, self.sole_driver = judge.takeover, judge.sole_driver
+        self.unseen_restart = judge.unseen_restart
         self.limits = Limits(view, notices)
         self.options = StrategyOptions(view, self.limits.storms, context)
         self._deferred = DeferredFailures(notices)

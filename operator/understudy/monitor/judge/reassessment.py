@@ -13,6 +13,7 @@ from contextlib import asynccontextmanager
 
 from understudy.failover.interfaces import Instances
 from understudy.failover.progress import PodIdentity, Progress
+from understudy.monitor.judge.unseen_restart import UnseenRestart
 from understudy.monitor.observe.robot.health_observer import HealthObserver
 
 OLD = 1.0
@@ -25,8 +26,8 @@ PERIOD = 0.1
 class Reassessment:
     """Marks a recovery whose failed instance is healthy again, until the recovery has committed."""
 
-    def __init__(self, fleet: Instances, observer: HealthObserver) -> None:
-        self._fleet, self._observer = fleet, observer
+    def __init__(self, fleet: Instances, observer: HealthObserver, unseen_restart: UnseenRestart) -> None:
+        self._fleet, self._observer, self._unseen_restart = fleet, observer, unseen_restart
 
     @asynccontextmanager
     async def during(self, progress: Progress) -> AsyncIterator[None]:
@@ -57,5 +58,7 @@ class Reassessment:
         """
         pod, now = self._fleet.find(failed.uid), time.time()
         if pod is None or pod.leaving or not pod.running or self._observer.new_process(pod.name, since=now - age):
+            return False
+        if self._unseen_restart.onset(pod, now) is not None:
             return False
         return self._observer.verdict(now=now, since=now - age).state == "Healthy"

@@ -16,9 +16,11 @@ from understudy.monitor.judge.reassessment import Reassessment
 from understudy.monitor.judge.reflex_takeover import ReflexTakeover
 from understudy.monitor.judge.situation_tracking import SituationTracking
 from understudy.monitor.judge.sole_driver import SoleDriver
+from understudy.monitor.judge.unseen_restart import UnseenRestart
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.senses import Senses
+from understudy.state.state_store import StateSource
 from understudy.trees.core.health_tree import Verdict
 
 
@@ -53,13 +55,23 @@ class Judgement:
 class JudgeStage:
     """Judges the active instance and the gate."""
 
-    def __init__(self, view: ClusterView, pods: Instances, gate: Gate, senses: Senses, notices: Notices) -> None:
+    def __init__(
+        self,
+        view: ClusterView,
+        pods: Instances,
+        gate: Gate,
+        senses: Senses,
+        kept_from: StateSource | None,
+        notices: Notices,
+    ) -> None:
+        """``kept_from`` is the instance from which an earlier monitor kept state."""
         self._pods, self._gate, self._observer = pods, gate, senses.observer
         self.detector = FailureDetector(pods, gate, senses.agents, senses.observer, notices.status.driven_epoch)
         self.takeover = ReflexTakeover(view, gate, senses.observer)
         self.levels = DegradationLevel(senses.observer, notices)
         self.situations = SituationTracking(senses.observer, notices)
-        self.reassessment = Reassessment(pods, senses.observer)
+        self.unseen_restart = UnseenRestart(senses.observer, kept_from)
+        self.reassessment = Reassessment(pods, senses.observer, self.unseen_restart)
         self.enforcement = GateEnforcement(gate, senses.probes, notices, senses.readership)
         self.sole_driver = SoleDriver(gate, senses.probes, senses.observer, notices)
 
@@ -79,6 +91,10 @@ class JudgeStage:
             lost, again = loss
             return Judgement(now, trusted_from, active, failure=lost, deadline=again)
         assert active is not None
+        if policy.state.keeps_anything and (onset := self.unseen_restart.onset(active, now)) is not None:
+            reason = f"a container of {active.name} restarted while no monitor watched, so its state is lost"
+            failure = Failure(reason, onset, time.time(), Trigger.POD_LOST)
+            return Judgement(now, trusted_from, active, failure=failure)
         return self._by_health(policy, active, now, trusted_from)
 
     def _by_health(self, policy: FailurePolicySpec, active: Instance, now: float, trusted_from: float) -> Judgement:

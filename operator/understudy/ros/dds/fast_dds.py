@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterable, Mapping
 from typing import TYPE_CHECKING
 
 from understudy.api import names
-from understudy.ros.dds.host_ids import HOST, VENDOR, host_id
+from understudy.ros.dds.host_ids import HOST, PARTICIPANT, VENDOR, host_id
 from understudy.ros.middleware import Locator, Middleware
 
 if TYPE_CHECKING:
@@ -80,6 +80,10 @@ class FastDds(Middleware):
     def host_of(self, gid: bytes) -> bytes:
         """Return the vendor and the host id."""
         return gid[HOST]
+
+    def process_of(self, gid: bytes) -> bytes:
+        """Return the prefix of the participant, of which 16 bits are random: the process ids of containers are often the same."""
+        return gid[PARTICIPANT]
 
     def host_at(self, address: str) -> bytes:
         """Return the host part for an IPv4 address. Fast DDS leaves IPv6 out."""

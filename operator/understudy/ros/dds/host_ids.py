@@ -16,6 +16,9 @@ VENDOR = bytes([0x01, 0x0F])
 HOST = slice(0, 4)
 """The part of a GID that is the same for all writers of a host: the vendor and the host's id."""
 
+PARTICIPANT = slice(0, 12)
+"""The part of a GID that is the same for all endpoints of a participant. A process with ROS 2 has one for each context."""
+
 
 @lru_cache(maxsize=1024)
 def host_id(*ips: str) -> bytes:

@@ -553,6 +553,14 @@ class TopicWatch:
         record = self._record_of(name, pod)
         return record.newest_writer if record is not None else 0.0
 
+    def processes(self, name: str, pod: str) -> frozenset[bytes]:
+        """Return what identifies the processes of a pod from which a topic was received.
+
+        Empty if the pod cannot be distinguished from another.
+        """
+        record = self._record_of(name, pod)
+        return frozenset(map(MIDDLEWARE.process_of, record.sequences)) if record is not None else frozenset()
+
     def first_from(self, name: str, pod: str, *, since: float) -> float | None:
         """Return when a topic was first received from a pod at or after a time, which must be within HISTORY."""
         record = self._record_of(name, pod)

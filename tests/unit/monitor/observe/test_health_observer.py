@@ -109,6 +109,24 @@ def test_a_monitor_hears_others_once_discovery_has_found_a_node_that_is_not_its_
     robot.close()
 
 
+def test_a_restarted_process_of_a_pod_is_distinguished_from_the_one_before(observer: HealthObserver) -> None:
+    beat = publisher(observer, "/beat", String)
+    active = Instance("w-1", "uid-1", ip=own_address(observer))
+    assert observer.processes("w-1") == frozenset()
+    until(observer, lambda: observer.processes("w-1"), each=lambda: beat.publish(String()), instances=[active])
+    (before,) = observer.processes("w-1")
+    restarted = Graph("restarted")
+    again = restarted.node.create_publisher(String, "/beat", 1)
+    until(
+        observer,
+        lambda: len(observer.processes("w-1")) == 2,
+        each=lambda: again.publish(String()),
+        instances=[active],
+    )
+    assert before in observer.processes("w-1")
+    restarted.close()
+
+
 def test_an_instance_that_had_sent_before_has_less_time_for_its_first_message_until_the_tree_changes(
     observer: HealthObserver,
 ) -> None:

@@ -12,10 +12,9 @@ from understudy.failover.interfaces import Agents, Instance
 from understudy.monitor.act.instances.standby_lifecycle import StandbyLifecycle
 from understudy.monitor.act.instances.state_manager import StateManager
 from understudy.monitor.act.objects.cluster import Cluster
+from understudy.monitor.judge.unseen_restart import UnseenRestart
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.agent_connections import AgentConnections
-from understudy.monitor.observe.current_recovery import CurrentRecovery
-from understudy.monitor.observe.instance_roles import InstanceRoles
+from understudy.monitor.observe.senses import Senses
 
 
 class StandbySupervision:
@@ -24,15 +23,14 @@ class StandbySupervision:
     def __init__(
         self,
         cluster: Cluster,
-        agents: AgentConnections,
-        roles: InstanceRoles,
-        current: CurrentRecovery,
+        senses: Senses,
         state_manager: StateManager,
+        unseen_restart: UnseenRestart,
         notices: Notices,
     ) -> None:
-        self._cluster, self._agents, self._roles, self._current = cluster, agents, roles, current
-        self._state_manager = state_manager
-        self._bringing = StandbyLifecycle(cluster.pods, agents, roles, notices)
+        self._cluster, self._agents, self._roles, self._current = cluster, senses.agents, senses.roles, senses.current
+        self._state_manager, self._unseen_restart = state_manager, unseen_restart
+        self._bringing = StandbyLifecycle(cluster.pods, senses.agents, senses.roles, notices)
 
     def housekeeping(
         self, instances: Sequence[Instance], policy: FailurePolicySpec, settings: WorkloadSettings, *, paused: bool
@@ -42,7 +40,9 @@ class StandbySupervision:
             self._bring(instances, policy, settings)
         active_uid = self._cluster.gate.state.active_uid
         targets = receivers(instances, settings, self._agents, active_uid=active_uid) if not paused else []
-        self._state_manager.housekeeping(self._cluster.pods.find(active_uid), targets)
+        active = self._cluster.pods.find(active_uid)
+        source = self._unseen_restart.source(active) if active is not None else None
+        self._state_manager.housekeeping(active, targets, source)
 
     def _bring(self, instances: Sequence[Instance], policy: FailurePolicySpec, settings: WorkloadSettings) -> None:
         if (spec := self._cluster.view.spec) is None:

@@ -28,7 +28,7 @@ from understudy.ros.observe.state_samples import StateSamples
 from understudy.ros.runtime.graph_node import Graph
 from understudy.state.pose_propagation import Carrier
 from understudy.state.state_capture import Entry, Keeper, Key, Trouble
-from understudy.state.state_store import StateStore
+from understudy.state.state_store import StateSource, StateStore
 
 _logger = logging.getLogger(__name__)
 
@@ -78,10 +78,12 @@ class StateManager:
         self._uncarried: dict[str, float] = {}
         self._state: State | None = None
         self._adopted = shelf.load()
+        self.source = shelf.source if self._adopted else None
+        """The instance from which state is kept; None if that is not known."""
         self._offset = time.time() - time.monotonic()
         self._period = self._next_take = 0.0
         self._active = ""
-        self._persisted = self._keeper.revision
+        self._persisted: tuple[object, ...] = (self._keeper.revision, self.source)
         self._persisting: asyncio.Task[None] | None = None
         self._next_persist = 0.0
         self._inspecting: asyncio.Task[None] | None = None
@@ -234,13 +236,21 @@ class StateManager:
 
     # -- not urgent -------------------------------------------------------------------------------------------------
 
-    def housekeeping(self, active: Instance | None, waiting: Sequence[tuple[Instance, float]]) -> None:
+    def housekeeping(
+        self,
+        active: Instance | None,
+        waiting: Sequence[tuple[Instance, float]],
+        source: StateSource | None = None,
+    ) -> None:
         """Persist the state, request parameters and lifecycle states, report, and give standbys state. ``waiting`` has
-        those standbys, each with its period in seconds. Called about once a second; returns at once.
+        those standbys, each with its period in seconds; ``source`` identifies the active instance and its processes.
+        Called about once a second; returns at once.
         """
         now = time.monotonic()
         if self._state is None:
             return
+        if source is not None and self._keeper.keys and self._keeper.healthy_since is not None:
+            self.source = source
         self._persist(now)
         if self._keeper.keys or self._reported:
             self._inspect(now, active)
@@ -250,7 +260,8 @@ class StateManager:
 
     def _persist(self, now: float) -> None:
         busy = self._persisting is not None and not self._persisting.done()
-        revision = self._keeper.revision + self._carrier.revision
+        source = self.source
+        revision = (self._keeper.revision + self._carrier.revision, source)
         if busy or now < self._next_persist or revision == self._persisted or self._adopted:
             return
         self._next_persist = now + PERSIST
@@ -260,7 +271,7 @@ class StateManager:
 
         async def persist() -> None:
             try:
-                await asyncio.to_thread(self._shelf.save, kept)
+                await asyncio.to_thread(self._shelf.save, kept, source)
                 self._persisted = revision
             except OSError as error:
                 _logger.error("could not store the kept state, so it is lost if the monitor restarts: %s", error)

@@ -303,6 +303,10 @@ class HealthObserver:
         """Return whether a writer of a gated topic in a pod was first heard at or after a time (Unix seconds), as after a restart."""
         return any(self._watching.newest_writer(topic, pod) >= since for topic in self.gated)
 
+    def processes(self, pod: str) -> frozenset[bytes]:
+        """Return what identifies the processes of a pod from which gated topics were received."""
+        return frozenset[bytes]().union(*(self._watching.processes(topic, pod) for topic in self.gated))
+
     def ambiguous(self, pod: str) -> bool:
         """Return whether a pod's samples cannot be distinguished from those of another instance."""
         return any(pod in names for names in self._watching.sources.ambiguous)
