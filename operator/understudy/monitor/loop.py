@@ -139,9 +139,10 @@ class MonitorLoop:
             self._notices.set(health="Unknown")
             return Resolution(Wait("NoGate"))
         paused = self.decide.limits.pauses.on is not None
-        if paused:
-            self.judge.unseen_restart.ignore()  # the user who paused decides about the instance
-        else:
+        if paused or self.act.state_manager.adopted_nothing:
+            # The user who paused decides about the instance; and without state to restore, a healthy one is not replaced.
+            self.judge.unseen_restart.ignore()
+        if not paused:
             await self.act.restore_routing()
         judgement = self.judge.judge(policy, now, self.observe.schedule.trusted_from)
         self.report.judged(judgement)

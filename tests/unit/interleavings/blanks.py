@@ -27,7 +27,7 @@ class RobotReaders:
 class Keeping:
     """Nothing is kept."""
 
-    source = None
+    source, adopted_nothing = None, True
 
     def take(self, *_: Any) -> None:
         return

@@ -116,11 +116,6 @@ class State(Model):
     storage: Storage = Field(default_factory=Storage)
     """Where kept state is stored."""
 
-    @property
-    def keeps_anything(self) -> bool:
-        """Whether anything is kept."""
-        return bool(self.keep or self.parameters or self.lifecycle)
-
 
 class KeptStatus(Model):
     """One item of kept state."""

@@ -91,7 +91,7 @@ class JudgeStage:
             lost, again = loss
             return Judgement(now, trusted_from, active, failure=lost, deadline=again)
         assert active is not None
-        if policy.state.keeps_anything and (onset := self.unseen_restart.onset(active, now)) is not None:
+        if (onset := self.unseen_restart.onset(active, now)) is not None:
             reason = f"a container of {active.name} restarted while no monitor watched, so its state is lost"
             failure = Failure(reason, onset, time.time(), Trigger.POD_LOST)
             return Judgement(now, trusted_from, active, failure=failure)

@@ -20,7 +20,7 @@ from tests.unit.dds import isolate_discovery
 from tests.unit.monitor.cluster_objects import ClusterObjects, policy_of, settings_of
 from tests.unit.monitor.monitors import GivenMonitor
 from tests.unit.monitor.senses import GivenSenses
-from tests.unit.monitor.state_monitor import ACTIVE, STANDBY, STATE, Monitor, next_monitor
+from tests.unit.monitor.state_monitor import ACTIVE, POSE, STANDBY, STATE, Monitor, next_monitor
 from understudy.api.kinds.robot_workload import Recovery
 from understudy.api.kinds.state_spec import RestoredState, State
 from understudy.api.protocol.kept_state import NotRestored
@@ -111,6 +111,19 @@ async def test_kept_state_survives_a_restart_of_the_monitor(
             return later.x(onset) == 1.0 and later.state_manager.select(onset) == kept
 
     await monitor.until(outlasts)
+
+
+@pytest.mark.parametrize(("max_age", "useless"), [("1m", False), ("5s", True)])
+async def test_a_new_monitor_knows_whether_the_kept_state_can_still_be_restored(
+    graph: Graph, tmp_path: Path, max_age: str, useless: bool
+) -> None:
+    before = time.time() - 10
+    version = pure.Version(before, before, b"a pose", POSE)
+    StateStore(tmp_path).save({pure.Key("Topic", "/amcl_pose"): [version]})
+    later = Monitor(graph, tmp_path)
+    keep = [{"topic": "/amcl_pose", "type": POSE, "restoreTo": "/initialpose", "maxAge": max_age}]
+    later.state_manager.take(State.model_validate({"keep": keep}), {}, "w-1")
+    assert later.state_manager.adopted_nothing == useless
 
 
 async def test_kept_state_is_available_to_a_recovery_that_an_earlier_monitor_started(

@@ -82,8 +82,9 @@ async def test_an_instance_that_may_have_its_state_is_not_recovered(
 
 
 async def test_an_instance_without_kept_state_goes_on_after_a_restart(tmp_path: Path) -> None:
-    resolution = await new_monitor(tmp_path).loop.evaluate(policy_of(), time.time())
-    assert not isinstance(resolution.decision, Recover)
+    monitor = new_monitor(tmp_path)
+    monitor.state_manager.follow(policy_of().state)
+    assert not isinstance((await monitor.loop.evaluate(policy_of(), time.time())).decision, Recover)
 
 
 async def test_a_restart_that_the_api_server_reports_late_counts(tmp_path: Path) -> None:

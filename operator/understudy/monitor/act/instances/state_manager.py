@@ -80,6 +80,8 @@ class StateManager:
         self._adopted = shelf.load()
         self.source = shelf.source if self._adopted else None
         """The instance from which state is kept; None if that is not known."""
+        self.adopted_nothing = False
+        """Whether nothing of the earlier monitor's state can be restored, because of the policy or because it is too old."""
         self._offset = time.time() - time.monotonic()
         self._period = self._next_take = 0.0
         self._active = ""
@@ -174,6 +176,8 @@ class StateManager:
             self._keeper.adopt(self._adopted, time.time())
             self._carrier.adopt(self._adopted)
             self._adopted = {}
+            kept = self._keeper.select(time.time())
+            self.adopted_nothing = not (kept.samples or kept.parameters or kept.lifecycle)
 
     def _follow_clock(self) -> None:
         """Shift all times if the clock was set, so that ages stay as they are."""
