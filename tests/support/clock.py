@@ -1,9 +1,13 @@
-"""Clocks that a test moves, in place of the module ``time`` of a module under test."""
+"""Clocks that a test moves, in place of the module ``time`` of a module under test, and the system's clock, which a test sets."""
 
 from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+
+import pytest
+
+_REAL = time.time
 
 
 @dataclass
@@ -27,3 +31,8 @@ class MonotonicClock(Clock):
     def time(self) -> float:
         """Return Unix seconds."""
         return time.time()
+
+
+def set_clock(monkeypatch: pytest.MonkeyPatch, step: float) -> None:
+    """Set the system's clock, as this process sees it, ``step`` seconds ahead of the real one. The monotonic clock goes on."""
+    monkeypatch.setattr(time, "time", lambda: _REAL() + step)

@@ -7,7 +7,6 @@ import dataclasses
 import logging
 import os
 import re
-import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +25,7 @@ from understudy.api import names
 from understudy.api.protocol import hold_script
 from understudy.api.protocol.agent_messages import AgentStatus, GateEpoch, Phase
 from understudy.api.protocol.kept_state import KeptState
+from understudy.clock import CLOCK
 from understudy.kube.gates.probes import ProbeSender
 from understudy.ros.rmw import MIDDLEWARE
 
@@ -98,7 +98,7 @@ class Agent:
             self._start_health()
         elif not self._identity.held:
             if self._memory.started_at is None:
-                self._memory.started_at = time.time()
+                self._memory.started_at = CLOCK.now()
                 self._save()
             self._start_health()
 
@@ -156,9 +156,9 @@ class Agent:
             phase=phase,
             ready=ready,
             reason=reason,
-            started_at=self._memory.started_at,
-            process_up_at=judgement.process_up_at,
-            ready_at=judgement.ready_at,
+            started_at=_reported(self._memory.started_at),
+            process_up_at=_reported(judgement.process_up_at),
+            ready_at=_reported(judgement.ready_at),
             configured=configured,
             outputs=dict(judgement.outputs),
             initialized=brought,
@@ -278,7 +278,7 @@ class Agent:
             claim=peer.claim,
             environment=environment,
             ros=ros,
-            started_at=time.time(),
+            started_at=CLOCK.now(),
         )
         try:
             for variables in bound.variables(self._identity.held).values():
@@ -393,3 +393,8 @@ def _is_environment(value: object) -> bool:
 def _enter(ros: Mapping[str, str]) -> None:
     """Set a robot's ROS environment as this process's own; the middleware reads it when the node is created."""
     os.environ.update(MIDDLEWARE.introspecting({**os.environ, **ros}))
+
+
+def _reported(moment: float | None) -> float | None:
+    """Return a time as one of the system's clock, for monitors on other machines."""
+    return CLOCK.to_system(moment) if moment is not None else None

@@ -12,6 +12,7 @@ from typing import Any
 
 from understudy.agent.held_containers import write_atomically
 from understudy.api.protocol.agent_messages import GateEpoch
+from understudy.clock import CLOCK
 
 _logger = logging.getLogger(__name__)
 
@@ -20,7 +21,7 @@ NAME = "agent.json"
 
 @dataclass
 class AgentMemory:
-    """Stored in the emptyDir, which lives as long as the pod. Times are Unix seconds."""
+    """Stored in the emptyDir, which lives as long as the pod. Times are of the process's clock; in the file, of the system's."""
 
     workload: str = ""
     """The workload that started the held containers; empty if none has."""
@@ -86,7 +87,7 @@ class AgentMemory:
         try:
             data = json.loads(path.read_text())
             known = {f.name for f in dataclasses.fields(cls)}
-            return cls(**{key: value for key, value in data.items() if key in known})
+            return cls(**{key: value for key, value in data.items() if key in known})._moved(-CLOCK.step())
         except FileNotFoundError:
             return cls()
         except (OSError, ValueError, TypeError, AttributeError) as error:
@@ -95,4 +96,15 @@ class AgentMemory:
 
     def save(self, directory: Path) -> None:
         """Store it, readable by the agent only: the environment may contain secrets. Raises OSError."""
-        write_atomically(directory / NAME, json.dumps(dataclasses.asdict(self)), 0o600)
+        write_atomically(directory / NAME, json.dumps(dataclasses.asdict(self._moved(CLOCK.step()))), 0o600)
+
+    def _moved(self, seconds: float) -> AgentMemory:
+        def moved(moment: float | None) -> float | None:
+            return moment + seconds if moment is not None else None
+
+        return dataclasses.replace(
+            self,
+            started_at=moved(self.started_at),
+            process_up_at=moved(self.process_up_at),
+            ready_at=moved(self.ready_at),
+        )

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 from understudy.agent.output_topics import Output
 from understudy.api.protocol.agent_messages import OutputCount
+from understudy.clock import CLOCK
 
 if TYPE_CHECKING:
     from understudy.ros.actions.calling_node import GraphLocation
@@ -288,7 +289,7 @@ class InstanceHealth:
         self._update_presence(graph, host, plan)
         up = self._present or (plan.managed and judgement.process_up_at is None and _application(graph, host))
         if up and judgement.process_up_at is None:
-            judgement.process_up_at = now
+            judgement.process_up_at = CLOCK.now()
             self._on_change()
         verdict = plan.tree.evaluate(own, now=now, since=self._since)
         judgement.outputs = own.counts()
@@ -298,7 +299,7 @@ class InstanceHealth:
         elif verdict.state == "Healthy":
             self._keep_ready = False
             if judgement.ready_at is None:
-                judgement.ready_at = now
+                judgement.ready_at = CLOCK.now()
             self._set_readiness(True, "; ".join(watching.problems))
         elif verdict.state == "Starting" and self._keep_ready:
             self._set_readiness(True, "; ".join(watching.problems))

@@ -1,5 +1,7 @@
 """The interfaces that the failover protocol needs: the gate, the instances, their agents and their outputs.
 
+All times are of the process's clock (understudy.clock).
+
 The monitor implements them with DDS and the Kubernetes API; tests need neither.
 """
 
@@ -191,10 +193,10 @@ class Agents(Protocol):
         """Start the held processes of a claimed instance with this robot's settings. Harmless when repeated."""
 
     async def up(self, instance: Instance) -> float:
-        """Wait until its processes are up, and return when they were, in unix seconds."""
+        """Wait until its processes are up, and return when they were."""
 
     async def ready(self, instance: Instance) -> float:
-        """Wait until the health tree holds on its own outputs, and return when it first did, in unix seconds."""
+        """Wait until the health tree holds on its own outputs, and return when it first did."""
 
     async def bring_up(
         self, instance: Instance, procedure: BringUp, *, within: float, state: KeptState
@@ -230,7 +232,7 @@ class Outputs(Protocol):
     def last_from_others(self, instance: Instance | None) -> tuple[float, str]:
         """Return when a sample of another instance (of any instance if None) last passed the gate, and from which pod.
 
-        The time is in Unix seconds; 0 if never.
+        The time is 0 if never.
         """
 
     def period_of_others(self, instance: Instance) -> float:

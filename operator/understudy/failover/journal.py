@@ -23,12 +23,12 @@ class Journal:
 
     def save(self, progress: Progress) -> None:
         """Store the progress of the present recovery."""
-        _replace(self._path, progress.model_dump_json())
+        _replace(self._path, progress.record())
 
     def load(self) -> Progress | None:
         """Return the stored progress; None if there is none or the file is damaged."""
         try:
-            return Progress.model_validate_json(self._path.read_text())
+            return Progress.of_record(self._path.read_text())
         except (OSError, ValidationError):
             return None
 

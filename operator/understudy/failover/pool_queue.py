@@ -28,7 +28,7 @@ Pod = TypeVar("Pod")
 
 
 class Waiter(Model):
-    """A workload that waits for a pod of a shared pool. Times are unix seconds by the clock of its monitor's node."""
+    """A workload that waits for a pod of a shared pool. Times are of its monitor's process; in a record, of its node's clock."""
 
     workload: str
     pool: str
@@ -41,6 +41,12 @@ class Waiter(Model):
     def rank(self) -> tuple[int, float, str]:
         """Sort key; the lowest is served first: by priority, then by who has waited longest."""
         return -self.priority, self.since, self.workload
+
+    def moved(self, seconds: float) -> Waiter:
+        """Return the same with both times moved."""
+        return (
+            self.model_copy(update={"since": self.since + seconds, "until": self.until + seconds}) if seconds else self
+        )
 
 
 class Queue(Protocol):

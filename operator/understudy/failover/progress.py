@@ -19,6 +19,7 @@ from understudy.api.kinds.robot_workload import Attempt, DependencyRecovery, Mom
 from understudy.api.kinds.state_spec import RestoredState
 from understudy.api.kinds.switchover_spec import Kind
 from understudy.api.protocol.kept_state import RestoreReport
+from understudy.clock import CLOCK
 from understudy.failover.pool_queue import Waiter
 
 Part = Literal["detection", "cluster", "startup", "reinitialization"]
@@ -32,7 +33,7 @@ class PodIdentity(Model):
 
 
 class Progress(Model):
-    """One recovery in progress. Times are unix seconds."""
+    """One recovery in progress. Times are those of this process's clock (understudy.clock), and in a record those of the system's clock."""
 
     id: str = Field(default_factory=lambda: uuid.uuid4().hex[:12])
     reason: str
@@ -86,6 +87,23 @@ class Progress(Model):
         progress.moments["detected"] = detected
         progress.charge("detection", detected)
         return progress
+
+    @classmethod
+    def of_record(cls, text: str) -> Progress:
+        """Return the recovery in a record next to a gate or in a journal. Raises ValidationError."""
+        return cls.model_validate_json(text).moved(-CLOCK.step())
+
+    def record(self) -> str:
+        """Return its record, with times of the system's clock as it is set now."""
+        return self.moved(CLOCK.step()).model_dump_json()
+
+    def moved(self, seconds: float) -> Progress:
+        """Return the same with all times moved."""
+        if not seconds:
+            return self
+        waiting = self.waiting.moved(seconds) if self.waiting is not None else None
+        moments = {name: time + seconds for name, time in self.moments.items()}
+        return self.model_copy(update={"moments": moments, "cursor": self.cursor + seconds, "waiting": waiting})
 
     def charge(self, part: Part, until: float) -> None:
         """Assign the time since the last call to a part of the recovery time (equation 1 of the paper).
@@ -169,7 +187,7 @@ class Progress(Model):
             RestoredState(
                 name=r.name,
                 restored=True,
-                age_seconds=round(max(0.0, onset - r.taken_at), 3),
+                age_seconds=round(max(0.0, onset - CLOCK.of_system(r.taken_at)), 3),
                 carried_metres=None if r.carried is None else round(r.carried, 3),
                 message=r.note,
             )
@@ -193,7 +211,7 @@ class Progress(Model):
             epoch=self.epoch,
             recovery_seconds=round(sum(self.parts.values()), 6) if self.result == "Recovered" else None,
             parts=parts,
-            moments=Moments(**{name: rfc3339(time) for name, time in self.moments.items()}),
+            moments=Moments(**{name: rfc3339(time) for name, time in self.moved(CLOCK.step()).moments.items()}),
             attempts=self.attempts,
             resumed=self.resumed,
             planned=self.planned,

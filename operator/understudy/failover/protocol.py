@@ -248,9 +248,8 @@ def _last_sign(target: Instance, progress: Progress, context: StrategyContext) -
     pods |= {i.uid: i.name for i in context.instances.of_workload()}
     pods.pop(target.uid, None)
     found += [(packet, name) for uid, name in pods.items() if (packet := context.gate.last_packet(uid)) is not None]
-    # Read after the signs, of which one may arrive meanwhile: a later time is from before the clock was set back.
-    now = context.clock()
-    return max((sign for sign in found if sign[0] <= now), default=(0.0, ""))
+    last, pod = max(found)
+    return min(last, context.clock()), pod
 
 
 async def _end(progress: Progress, context: StrategyContext) -> None:

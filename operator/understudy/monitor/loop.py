@@ -13,6 +13,7 @@ from contextlib import aclosing
 from dataclasses import dataclass
 
 from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.clock import CLOCK
 from understudy.failover import switchover
 from understudy.failover.decide import Activate, Decision, Hold, Recover, SwitchOver, Trigger, Wait
 from understudy.failover.progress import Progress
@@ -71,10 +72,10 @@ class MonitorLoop:
             agents=senses.agents,
             outputs=senses.observer.outputs(cluster.pods, cluster.gate),
             queue=PoolQueue(cluster.view, notices),
-            clock=time.time,
+            clock=CLOCK.now,
             save=parts.journal.save,
             workload_uid="",
-            kept=parts.state_manager.select,
+            kept=lambda onset: parts.state_manager.select(CLOCK.to_system(onset)),
         )
         self.observe = ObserveStage(cluster.view, senses, notices)
         kept_from = parts.state_manager.source

@@ -28,6 +28,7 @@ from understudy.api.kinds.situation_spec import SituationStatus
 from understudy.api.kinds.state_spec import KeptStatus
 from understudy.api.kinds.switchover_spec import SwitchoverStatus
 from understudy.api.kinds.task_spec import TaskStatus
+from understudy.clock import CLOCK
 from understudy.failover.progress import ListedRecovery, Progress, listed_recoveries, rfc3339
 
 ConditionReport = tuple[Literal["True", "False", "Unknown"], str, str]
@@ -472,7 +473,7 @@ class Notices:
         )
         count = old.count if again else old.count + 1
         recovery = progress.to_recovery(count)
-        verified = rfc3339(progress.moments.get("verified", progress.cursor))[:19] + "Z"
+        verified = rfc3339(CLOCK.to_system(progress.moments.get("verified", progress.cursor)))[:19] + "Z"
         self._status = replace(
             old,
             recoveries=(recovery, *old.recoveries[again:])[:RECOVERIES_KEPT],

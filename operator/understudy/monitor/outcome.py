@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.clock import CLOCK
 from understudy.failover.progress import Progress
 
 Kind = Literal[
@@ -42,4 +43,5 @@ class Outcome:
     def committed(self) -> float | None:
         """When the gate was opened for the instance that took over, in Unix seconds; None if none took over."""
         taken_over = self.kind in ("Recovered", "SwitchedOver")
-        return self.progress.moments.get("committing") if taken_over else None
+        committing = self.progress.moments.get("committing")
+        return CLOCK.to_system(committing) if taken_over and committing is not None else None

@@ -15,6 +15,7 @@ from tests.unit.interleavings.apiserver import EPOCH
 from tests.unit.interleavings.scheduling import current
 from tests.unit.interleavings.simulated_cluster import SimulatedCluster
 from understudy.api import conditions
+from understudy.clock import CLOCK
 from understudy.controller.pods.pool_pods import UniqueValues
 from understudy.controller.reconcile import reconciler
 from understudy.failover import progress
@@ -50,6 +51,7 @@ class Clock:
 def in_virtual_time(cluster: SimulatedCluster) -> Iterator[None]:
     loop, choices = cluster.loop, cluster.choices
     with contextlib.ExitStack() as stack:
+        stack.callback(CLOCK.restart)
         for target, attribute, value in (
             (time, "time", lambda: EPOCH + loop.clock()),
             (time, "monotonic", loop.clock),
@@ -67,6 +69,7 @@ def in_virtual_time(cluster: SimulatedCluster) -> Iterator[None]:
         ):
             stack.enter_context(mock.patch.object(target, attribute, value))
         stack.enter_context(_logging(cluster))
+        CLOCK.restart()
         yield
 
 

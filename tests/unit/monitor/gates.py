@@ -8,6 +8,7 @@ from pathlib import Path
 
 from tests.unit.kube.memory import MemoryClient
 from understudy.api import names
+from understudy.clock import CLOCK
 from understudy.failover.interfaces import Instance
 from understudy.kube.client import NETWORK_POLICIES, Object
 from understudy.kube.gates.base import Proof
@@ -31,9 +32,9 @@ class Packets(Proof):
         return [uid for uid, last in self._last.items() if last >= time]
 
     async def wait(self, uid: str, after: float) -> float:
-        while (last := self._last.get(uid, 0.0)) < after:
+        while (last := self._last.get(uid, 0.0)) < CLOCK.to_system(after):
             await asyncio.sleep(0.005)
-        return last
+        return CLOCK.of_system(last)
 
 
 async def gate(client: MemoryClient, found: ClusterView, tmp_path: Path, active: Instance | None = None) -> GateControl:

@@ -5,12 +5,12 @@ import time
 
 import pytest
 
+from tests.support.clock import set_clock
 from tests.support.golden import assert_golden
 
 pytest.importorskip("rclpy")
 
 from tests.unit.ros.judged_tree import Judged, tell
-from understudy.ros.observe import topic_watch as module
 from understudy.ros.observe.message_contents import HEAD, Received, begins_with_header
 from understudy.ros.runtime.interface_types import message_class, message_fields
 from understudy.trees.core.observations import Unreadable
@@ -172,17 +172,10 @@ def test_a_clock_step_moves_the_receipt_times_of_messages(watching, processes, e
     tell(node, header={"stamp": "now"})
     eventually(lambda: judged.now().state == "Healthy")
 
-    class Stepped:
-        monotonic = staticmethod(time.monotonic)
-
-        @staticmethod
-        def time():
-            return time.time() + 3600.0
-
-    monkeypatch.setattr(module, "time", Stepped)
+    set_clock(monkeypatch, 3600.0)
     watching.drain()
     (content,) = watching.topic("/scan").contents
-    assert content.received == pytest.approx(Stepped.time(), abs=20)
+    assert content.received == pytest.approx(time.time(), abs=20)
     assert content.age() < 20
 
 

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
+from tests.support.clock import set_clock
 from tests.support.golden import assert_golden
 
 pytest.importorskip("rclpy")
 
 from tests.unit.ros.judged_tree import Judged
 from understudy.ros.dds.host_ids import HOST, VENDOR, host_id
-from understudy.ros.observe import topic_watch as module
 from understudy.ros.observe.topic_watch import TopicWatch
 from understudy.ros.runtime.graph_node import Endpoint, Graph
 from understudy.trees.core.health_tree import WatchedTopic
@@ -126,13 +125,6 @@ def test_a_clock_step_moves_the_times_of_observations(watching, others, eventual
     publishers = watching.publishers("/chat")
     before = publishers.received
 
-    class Stepped:
-        monotonic = staticmethod(time.monotonic)
-
-        @staticmethod
-        def time() -> float:
-            return time.time() + 3600.0
-
-    monkeypatch.setattr(module, "time", Stepped)
+    set_clock(monkeypatch, 3600.0)
     watching.drain()
     assert publishers.received - before == pytest.approx(3600.0, abs=1.0)

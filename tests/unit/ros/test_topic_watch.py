@@ -5,6 +5,7 @@ import time
 
 import pytest
 
+from tests.support.clock import set_clock
 from tests.support.golden import assert_golden
 
 pytest.importorskip("rclpy")
@@ -171,19 +172,10 @@ def test_a_clock_step_is_neither_a_gap_nor_a_burst(watching, processes, eventual
     processes.node("publish", "/chat", "50")
     eventually(lambda: watching.drain() and watching.topic("/chat").count > 60)
 
-    class Stepped:
-        """The clock after it was set; samples in the queue are still stamped by the old one."""
-
-        monotonic = staticmethod(time.monotonic)
-
-        @staticmethod
-        def time():
-            return time.time() + step
-
     time.sleep(0.1)
-    monkeypatch.setattr(module, "time", Stepped)
+    set_clock(monkeypatch, step)  # samples in the queue are still stamped by the old clock
     watching.drain()
-    record, now = watching.topic("/chat"), Stepped.time()
+    record, now = watching.topic("/chat"), time.time()
     assert 0 <= now - record.last < 1
     assert list(record.arrivals) == sorted(record.arrivals)
     assert 0 <= now - record.arrivals[0] < 10

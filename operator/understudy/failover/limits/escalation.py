@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from understudy.clock import CLOCK
 from understudy.failover.progress import Progress
 
 
@@ -25,7 +26,7 @@ class Takeover:
         """Return the takeover of a finished recovery; None if it does not count against a strategy."""
         if done.result != "Recovered" or done.target is None or done.taken_over is not None or done.follows:
             return None
-        return cls(done.target.uid, done.index, done.moments.get("verified", done.cursor))
+        return cls(done.target.uid, done.index, CLOCK.to_system(done.moments.get("verified", done.cursor)))
 
     def lived(self, uid: str, until: float) -> float | None:
         """Return for how many seconds the instance had been active at a time; None for any other instance."""

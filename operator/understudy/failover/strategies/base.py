@@ -33,7 +33,7 @@ class StrategyContext:
     save: Callable[[Progress], None]
     workload_uid: str
     kept: Callable[[float], KeptState] = lambda onset: KeptState()
-    """Returns the state for the instance that takes over, given the onset of the failure (unix seconds)."""
+    """Returns the state for the instance that takes over, given the onset of the failure."""
     restore_within: float = 5.0
     """Seconds that restoring state may take."""
     holds: Callable[[Strategy], str | None] = lambda strategy: None

@@ -68,7 +68,8 @@ async def join(me: Waiter, progress: Progress, context: StrategyContext) -> None
     progress.waiting = me
     context.save(progress)
     state = context.gate.state
-    if not state.closed or state.recovery is None or state.recovery.waiting != me:
+    recorded = state.recovery.waiting if state.recovery is not None else None
+    if not state.closed or recorded is None or (recorded.pool, recorded.priority) != (me.pool, me.priority):
         await context.gate.commit(None, progress)
     progress.moments.setdefault("fenced", context.clock())
 

@@ -75,7 +75,10 @@ class Proof(Protocol):
         return ()
 
     async def wait(self, uid: str, after: float) -> float:
-        """Wait for a packet of a pod, and return when the first one at or after a time passed the gate, in Unix seconds."""
+        """Wait for a packet of a pod, and return when the first one at or after a time passed the gate.
+
+        A recovery waits for it, so both times are of the process's clock (understudy.clock).
+        """
 
 
 class GateKind(ABC):

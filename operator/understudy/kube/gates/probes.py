@@ -10,6 +10,7 @@ import asyncio
 import contextlib
 import ipaddress
 import logging
+import math
 import socket
 import struct
 import threading
@@ -20,6 +21,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from understudy.api import names
+from understudy.clock import CLOCK
 
 _logger = logging.getLogger(__name__)
 
@@ -211,13 +213,14 @@ class Arrivals:
             arrivals = self._arrivals[uid] = deque(maxlen=self.MOST)
         else:
             self._arrivals.move_to_end(uid)
-        if arrivals and arrivals[-1] > arrival:
-            # The clock went back: slewed a little, or set.
-            if arrivals[-1] - arrival > 1.0:
-                arrivals.clear()
-            else:
-                arrival = arrivals[-1]
-        arrivals.append(arrival)
+        # The kernel may stamp two probes out of order, or with a clock that was set meanwhile.
+        arrivals.append(max(arrival, arrivals[-1]) if arrivals else arrival)
+
+    def shift(self, step: float, now: float) -> None:
+        """Move all times by ``step`` seconds, after the clock was set to ``now``."""
+        for uid, arrivals in self._arrivals.items():
+            # The kernel may have stamped the last one with the new clock already.
+            self._arrivals[uid] = deque((min(arrival + step, now) for arrival in arrivals), maxlen=self.MOST)
 
 
 class ProbeReceiver:
@@ -233,6 +236,9 @@ class ProbeReceiver:
 
     def __init__(self) -> None:
         self._arrivals = Arrivals()
+        self._step = CLOCK.step()
+        self._taken = time.time()
+        """When the socket was last read to its end."""
         self._socket: socket.socket | None = None
         self._changed = asyncio.Event()
         self._waiting = 0
@@ -289,17 +295,17 @@ class ProbeReceiver:
     async def wait(self, uid: str, after: float, within: float | None = None) -> float:
         """Return when the first probe of a pod at or after a time arrived, waiting for one if necessary.
 
-        Raises TimeoutError if none arrived within ``within`` seconds.
+        Both times are of the process's clock. Raises TimeoutError if none arrived within ``within`` seconds.
         """
         self._waiting += 1
         self._start_reading()
         try:
             async with asyncio.timeout(within):
-                while (first := self.first_since(uid, after)) is None:
+                while (first := self.first_since(uid, CLOCK.to_system(after))) is None:
                     await self._changed.wait()
         finally:
             self._waiting -= 1
-        return first
+        return CLOCK.of_system(first)
 
     def _start_reading(self) -> None:
         """Let the event loop report arrivals from now on."""
@@ -330,19 +336,35 @@ class ProbeReceiver:
 
     def _take(self) -> None:
         """Record what has arrived, but use no more than a fair share of the event loop's time."""
+        low, high = self._follow_clock()
         for _ in range(256):
             if self._socket is None:
                 return
             try:
                 datagram, ancillary, _flags, _address = self._socket.recvmsg(_FORMAT.size + 1, 64)
             except (BlockingIOError, InterruptedError):
+                self._taken = time.time()
                 break
             except OSError as error:
                 _logger.warning("receiving probes: %s", error)
                 break
             probe = decode(datagram)
             if probe is not None:
-                self._arrivals.add(probe.uid, _timestamp(ancillary))
+                self._arrivals.add(probe.uid, min(max(_timestamp(ancillary), low), high))
+
+    def _follow_clock(self) -> tuple[float, float]:
+        """Move the times of arrivals if the clock was set. Returns the bounds for those of probes that were not read yet.
+
+        The kernel stamped them by the old clock. They arrived after the last read.
+        """
+        known = CLOCK.step()
+        step, self._step = known - self._step, known
+        if not step:
+            return -math.inf, math.inf
+        now = time.time()
+        self._arrivals.shift(step, now)
+        self._taken += step
+        return self._taken, now
 
 
 def _timestamp(ancillary: list[tuple[int, int, bytes]]) -> float:

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import time
 from collections.abc import Sequence
 
 from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import Safety
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+from understudy.clock import CLOCK
 from understudy.failover.interfaces import Outputs
 from understudy.failover.progress import Progress
 from understudy.monitor.decide.pause_state import PauseState
@@ -48,7 +48,7 @@ class Unattended:
 
     @property
     def since(self) -> float | None:
-        """Since when (Unix seconds) no instance has driven the robot. None while one drives, if the workload is
+        """Since when (by the process's clock) no instance has driven the robot. None while one drives, if the workload is
         retired, and during a pause, unless a recovery continues in it."""
         progress, held = self._current.progress, self._current.held
         if self._view.retired or (self._pauses.on is not None and (held or progress is None)):
@@ -72,7 +72,7 @@ class Unattended:
         if outcome.driven:
             self._since = None
         elif outcome.kind == "NothingVerified" and self._since is None:
-            self._since = time.time()
+            self._since = CLOCK.now()
 
     def driven(self) -> None:
         """Note that an instance is active and healthy."""
@@ -125,9 +125,8 @@ class SafeCommands:
         while True:
             since = self._unattended.since
             if since is not None and since != known:
-                # From here on, the monotonic clock counts. ``since`` can lie in the future if it comes from another
-                # node's clock, or if the clock was set back.
-                begins = loop.time() + min(since + self._after - time.time(), self._after)
+                # ``since`` can lie in the future if it comes from another node's clock.
+                begins = loop.time() + min(since + self._after - CLOCK.now(), self._after)
             known, wait = since, period
             if since is not None:
                 started_at = loop.time()
@@ -139,8 +138,8 @@ class SafeCommands:
             await asyncio.sleep(min(wait, period) if wait > 0 else 0)
 
     def _is_driven(self) -> bool:
-        """Whether an instance was heard a moment ago. A time in the future is of a clock that was set back since."""
-        return 0 <= time.time() - self._outputs.last_from_others(None)[0] < HEARD_FOR
+        """Whether an instance was heard a moment ago."""
+        return CLOCK.now() - self._outputs.last_from_others(None)[0] < HEARD_FOR
 
     def _publish(self, commander: Commander, failing: bool) -> bool:
         """Publish once. Returns whether that failed. An error is not raised, because nobody else commands the robot and

@@ -11,6 +11,7 @@ import logging
 from understudy.api import names
 from understudy.api.kinds.failure_policy import Budget
 from understudy.api.moments import in_words, unix
+from understudy.clock import CLOCK
 from understudy.failover.limits import budget as budgets
 from understudy.failover.limits.state import ActiveLimit
 from understudy.failover.progress import Progress
@@ -46,7 +47,7 @@ class BudgetSpending:
         """
         budget, tried = self._budget, any(attempt.result != "NotAvailable" for attempt in done.attempts)
         if budget is not None and tried and not done.planned and not done.follows:
-            self._notices.set_spent([*self._counted(now), done.began][-budget.recoveries :])
+            self._notices.set_spent([*self._counted(now), CLOCK.to_system(done.began)][-budget.recoveries :])
             self.report(now)
 
     def in_force(self, now: float) -> ActiveLimit | None:

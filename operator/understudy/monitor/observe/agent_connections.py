@@ -14,6 +14,7 @@ from understudy.api import names
 from understudy.api.base import seconds
 from understudy.api.protocol.agent_messages import RENEW_PERMIT, AgentStatus, GateEpoch, ProtocolError
 from understudy.api.protocol.kept_state import LARGEST, KeptState, RestoreReport
+from understudy.clock import CLOCK
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotVerified
 from understudy.kube.agent_client import AgentGone, AgentLink, AgentRefused
@@ -340,14 +341,14 @@ class AgentConnections:
         self._crash_points.step("after start")
 
     async def up(self, instance: Instance) -> float:
-        """Wait until the instance's processes run. Returns since when they do, in Unix seconds."""
+        """Wait until the instance's processes run. Returns since when they do."""
         link = await self._connected(instance)
         status = await link.wait_for(lambda status: status.process_up_at is not None)
         assert status.process_up_at is not None
-        return status.process_up_at
+        return _past(status.process_up_at)
 
     async def ready(self, instance: Instance) -> float:
-        """Wait until the health tree succeeds on the instance's own outputs. Returns since when it does, in Unix seconds."""
+        """Wait until the health tree succeeds on the instance's own outputs. Returns since when it does."""
         while True:
             link = await self._connected(instance)
             try:
@@ -358,7 +359,7 @@ class AgentConnections:
                 await asyncio.sleep(RETRY)
         status = await link.wait_for(lambda status: status.configured and status.ready and status.ready_at is not None)
         assert status.ready_at is not None
-        return status.ready_at
+        return _past(status.ready_at)
 
     async def bring_up(
         self, instance: Instance, procedure: BringUp, *, within: float, state: KeptState
@@ -454,3 +455,8 @@ class AgentConnections:
         if not status.configured or status.phase == "Held":
             return False, f"its agent is {status.phase.lower()}"
         return status.ready, "" if status.ready else status.reason or "its outputs are not healthy"
+
+
+def _past(reported: float) -> float:
+    """Return a time that an agent reported as one of this process's clock. The clock of the agent's node may be ahead."""
+    return min(CLOCK.of_system(reported), CLOCK.now())

@@ -66,20 +66,23 @@ class EvaluationSchedule:
         self.overruns = 0
         """Number of evaluations that were late by more than STALLED."""
         self._arrivals = arrivals
-        self._started = 0.0
-        self._next: float | None = None
+        self._started = self._begun = 0.0
+        """When the present evaluation started: in Unix seconds, and by the monotonic clock."""
+        self._due: float | None = None
+        """When the next evaluation is due, by the monotonic clock."""
 
     def restart(self) -> None:
         """Note that other work was done since the last evaluation, so the next one does not count as late."""
-        self._next = None
+        self._due = None
 
     def begin(self) -> float:
         """Start an evaluation. Returns its time in Unix seconds: the evaluation covers all messages up to that time."""
         self._wake.clear()
         if self._arrivals is not None and self._arrivals.asked:
             self._arrivals.clear()
-        now = self._started = time.time()
-        self.late = max(0.0, now - self._next) if self._next is not None else 0.0
+        now, clock = time.time(), time.monotonic()
+        self._started, self._begun = now, clock
+        self.late = max(0.0, clock - self._due) if self._due is not None else 0.0
         self.count += 1
         self.overruns += self.late > STALLED
         if self.late > STALLED:
@@ -89,12 +92,12 @@ class EvaluationSchedule:
 
     async def until(self, moment: float) -> None:
         """Wait for the next evaluation: at this moment, or earlier if a message arrives or a wake-up is requested."""
-        self._next = moment
+        due = self._due = self._begun + moment - self._started
         with contextlib.ExitStack() as stack:
             if self._arrivals is not None and self._arrivals.asked:
                 self._listen(self._arrivals.descriptor, stack)
             with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(max(0.0, moment - time.time())):
+                async with asyncio.timeout(max(0.0, due - time.monotonic())):
                     await self._wake.wait()
 
     def _listen(self, descriptor: int, stack: contextlib.ExitStack) -> None:
@@ -102,7 +105,7 @@ class EvaluationSchedule:
 
         def arrived() -> None:
             loop.remove_reader(descriptor)  # the next evaluation clears the descriptor
-            rest = self._started + APART - time.time()
+            rest = self._begun + APART - time.monotonic()
             if rest <= 0:
                 self._wake.set()
             else:

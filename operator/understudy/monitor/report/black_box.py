@@ -19,6 +19,7 @@ from typing import NamedTuple
 from understudy.api.base import seconds
 from understudy.api.kinds.recording_spec import BlackBox as Settings
 from understudy.api.kinds.recording_spec import Recording, Recordings
+from understudy.clock import CLOCK
 from understudy.failover.progress import Progress, rfc3339
 from understudy.kube.client import EVENTS, FAILURES, Object
 from understudy.monitor.notices import Notices
@@ -89,7 +90,7 @@ class BlackBox:
         if self._present and not self._due:  # the last recovery was not carried out
             ring.release()
         self._present = progress.id
-        ring.hold(progress.moments.get("detected", time.time()))
+        ring.hold(CLOCK.to_system(progress.moments.get("detected", CLOCK.now())))
         # The loop runs this while the failover waits for the API server.
         asyncio.get_running_loop().call_soon(self._trace)
 
@@ -159,7 +160,7 @@ class BlackBox:
         if ring is None or settings is None:
             return
         recovery = self._notices.status.recovery(progress.id) or progress.to_recovery(self._notices.status.count)
-        failed = progress.moments.get("detected", progress.cursor)
+        failed = CLOCK.to_system(progress.moments.get("detected", progress.cursor))
         since = failed - ring.seconds
         tracks = list(ring.taken(since))
         notes = {"leftOut": json.dumps(ring.left_out)} if ring.left_out else {}

@@ -16,6 +16,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from understudy.clock import CLOCK
 from understudy.ros.observe.graph_presence import NodePresenceWatch, PublisherPresence
 from understudy.ros.observe.lifecycle_states import LifecycleStates
 from understudy.ros.observe.message_contents import HEAD, OURS, Received, begins_with_header, ours
@@ -69,9 +70,6 @@ TYPE_CHECK_PERIOD = 1.0
 
 MOST_WRITERS = 64
 """Writers of one host that are distinguished. A host that restarts its nodes for months has had many."""
-
-CLOCK_STEP = 0.005
-"""Minimum change in seconds between the clock and the monotonic clock that shows that the clock was set."""
 
 
 def depth(topic: WatchedTopic) -> int:
@@ -170,7 +168,7 @@ class TopicWatch:
         self._sources = Sources({})
         self._active = ""
         self._next_look_up = 0.0
-        self._clock = _offset()
+        self._step = CLOCK.step()
         self._drained = time.time()
         self._drained_at = time.monotonic()
         self._losing_until = self._observed_since = -math.inf
@@ -451,9 +449,9 @@ class TopicWatch:
 
         Samples received before the step are stamped by the old clock. They arrived after the last drain.
         """
-        offset = _offset()
-        step, self._clock = offset - self._clock, offset
-        if abs(step) < CLOCK_STEP:
+        known = CLOCK.step()
+        step, self._step = known - self._step, known
+        if not step:
             return -math.inf, math.inf
         _logger.warning("the system clock jumped by %+.3f s; the receive times are corrected by the same amount", step)
         self._drained += step
@@ -614,18 +612,3 @@ def _note_goals(active: dict[bytes, float], gid: bytes, received: float, data: b
         active.setdefault(gid, received)
     else:
         active.pop(gid, None)
-
-
-def _offset() -> float:
-    """Return the clock minus the monotonic clock, which changes when the clock is set.
-
-    A busy node may delay a reading, so the best of several counts.
-    """
-    best, offset = math.inf, 0.0
-    for _ in range(5):
-        before, now, after = time.monotonic(), time.time(), time.monotonic()
-        if after - before < best:
-            best, offset = after - before, now - (before + after) / 2
-        if best < CLOCK_STEP / 10:
-            break
-    return offset

@@ -10,10 +10,10 @@ import pytest
 from tests.support.clock import Clock
 from tests.unit.monitor.monitors import GivenMonitor
 from tests.unit.monitor.takeovers import policy, took_over
+from understudy.clock import CLOCK
 from understudy.failover.interfaces import GateState, Superseded
 from understudy.failover.limits.backoff import FIRST as BACKOFF_FIRST
 from understudy.failover.progress import Progress
-from understudy.monitor.act import safe_commands
 from understudy.monitor.decide import retry_backoff
 from understudy.monitor.judge import failure_detection
 from understudy.monitor.outcome import Kind, Outcome
@@ -54,8 +54,9 @@ class World:
 
 @pytest.fixture(autouse=True)
 def clock(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (safe_commands, failure_detection, retry_backoff):
+    for module in (failure_detection, retry_backoff):
         monkeypatch.setattr(module, "time", Clock(NOW))
+    monkeypatch.setattr(CLOCK, "now", lambda: NOW)
 
 
 def over(result: str) -> Progress:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.clock import set_clock
 from tests.support.golden import assert_golden
 
 pytest.importorskip("rclpy")
@@ -27,7 +28,6 @@ from understudy.api.protocol.kept_state import NotRestored
 from understudy.api.protocol.monitor_settings import PoolChoice
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import PodIdentity, Progress
-from understudy.monitor.act.instances import state_manager as module
 from understudy.monitor.act.instances.standby_supervision import receivers
 from understudy.ros.runtime.graph_node import Graph
 from understudy.state import state_capture as pure
@@ -296,17 +296,10 @@ async def test_a_clock_step_changes_no_age(
     say(1.0)
     await monitor.until(lambda: monitor.x() == 1.0)
 
-    class Stepped:
-        monotonic = staticmethod(time.monotonic)
-
-        @staticmethod
-        def time() -> float:
-            return time.time() + step
-
     (before,) = monitor.state_manager.select(time.time()).samples
-    monkeypatch.setattr(module, "time", Stepped)
+    set_clock(monkeypatch, step)
     monitor.state_manager.take(STATE, {}, "w-1")
-    (after,) = monitor.state_manager.select(time.time() + step).samples
+    (after,) = monitor.state_manager.select(time.time()).samples
     assert after.taken_at - before.taken_at == pytest.approx(step, abs=0.5)
 
 

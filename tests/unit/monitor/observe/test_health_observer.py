@@ -15,12 +15,13 @@ pytest.importorskip("rclpy")
 from geometry_msgs.msg import Twist
 from std_msgs.msg import String
 
-from tests.support.clock import Clock
+from tests.support.clock import Clock, set_clock
 from tests.unit.monitor.cluster_objects import ClusterObjects
 from tests.unit.monitor.observed_robot import STATUS, begin_task, count, observing, own_address, publisher, until
 from tests.unit.monitor.observed_robot import policy_with as _policy
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+from understudy.clock import CLOCK
 from understudy.failover.interfaces import GateState, Instance
 from understudy.monitor.observe.robot import degraded_tree, health_observer
 from understudy.monitor.observe.robot.health_observer import HealthObserver
@@ -137,6 +138,24 @@ def test_an_instance_that_had_sent_before_has_less_time_for_its_first_message_un
     assert observer.verdict(now=since + 5.1, since=since).state == "Failed"
     observer.follow(_policy({"topic": {"name": "/beat", "type": "std_msgs/msg/String", "gap": "2s"}}), None)
     assert observer.verdict(now=since + 5.1, since=since).state == "Starting"
+
+
+@pytest.mark.parametrize("step", [-60.0, 60.0])
+async def test_samples_from_before_a_clock_step_are_as_old_as_they_are_for_a_recovery(
+    observer: HealthObserver, monkeypatch: pytest.MonkeyPatch, step: float
+) -> None:
+    said, begun = publisher(observer, "/beat", String), CLOCK.now()
+    objects, sender = ClusterObjects(), Instance("w-1", "uid-1", ip=own_address(observer), running=True)
+    objects.put_pods(sender)
+    objects.put_gate(GateState(epoch=4, active="w-1", active_uid="uid-1"))
+    until(observer, lambda: observer.last_from("w-1"), each=lambda: said.publish(String()), instances=[sender])
+    readers = observer.outputs(objects.pods, objects.gate)
+    last, _ = readers.last_from_others(None)
+    set_clock(monkeypatch, step)
+    assert readers.last_from_others(None) == (pytest.approx(last, abs=0.01), "w-1")
+    assert begun - 0.01 <= last <= CLOCK.now()
+    async with asyncio.timeout(5):
+        assert await readers.first_from(sender, since=begun - 0.01) == pytest.approx(last, abs=5)
 
 
 def test_an_output_with_only_a_publisher_leaf_is_not_expected(observer: HealthObserver) -> None:

@@ -11,6 +11,8 @@ from itertools import pairwise
 
 import pytest
 
+from tests.support.clock import Clock, set_clock
+from understudy.monitor.observe import wakeups
 from understudy.monitor.observe.wakeups import APART, STALL_MOST, STALLED, EvaluationSchedule, Wakeups
 
 FAR = 60.0
@@ -102,17 +104,15 @@ async def test_without_topics_that_need_wakeups_messages_do_not_end_the_wait(arr
 
 
 async def test_silence_is_not_trusted_after_a_stall(monkeypatch) -> None:
-    now = 1000.0
-    monkeypatch.setattr(
-        "understudy.monitor.observe.wakeups.time", type("Clock", (), {"time": staticmethod(lambda: now)})
-    )
+    clock = Clock()
+    monkeypatch.setattr(wakeups, "time", clock)
     schedule = EvaluationSchedule(Wakeups(), None)
     for late, trusted in ((0.0, 0.0), (STALLED, 0.0), (0.1, 0.1), (3.0, STALL_MOST)):
         schedule.trusted_from = 0.0
-        now = 1000.0
+        clock.now = 1000.0
         schedule.begin()
-        await schedule.until(now)
-        now += late
+        await schedule.until(clock.now)
+        clock.now += late
         found = schedule.begin()
         assert schedule.late == pytest.approx(late)
         assert schedule.trusted_from == (pytest.approx(found + trusted) if trusted else 0.0)
@@ -125,6 +125,20 @@ async def test_planned_work_between_evaluations_is_no_stall() -> None:
     schedule.restart()
     schedule.begin()
     assert (schedule.late, schedule.trusted_from) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("step", [-60.0, 60.0])
+async def test_a_clock_that_is_set_while_an_evaluation_runs_changes_neither_the_wait_nor_its_lateness(
+    monkeypatch: pytest.MonkeyPatch, step: float
+) -> None:
+    schedule = EvaluationSchedule(Wakeups(), None)
+    moment, began = schedule.begin() + 0.05, time.monotonic()
+    set_clock(monkeypatch, step)
+    async with asyncio.timeout(5):
+        await schedule.until(moment)
+    assert time.monotonic() - began >= 0.05
+    schedule.begin()
+    assert schedule.late < 5
 
 
 async def test_a_clock_that_is_set_back_does_not_delay_verdicts(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,6 +19,7 @@ from understudy.api.base import seconds
 from understudy.api.kinds.robot_workload import Recovery
 from understudy.api.kinds.state_spec import KeptStatus, RestoredState, State
 from understudy.api.protocol.kept_state import KeptState
+from understudy.clock import CLOCK
 from understudy.failover.interfaces import Instance
 from understudy.failover.progress import rfc3339
 from understudy.kube.agent_client import AgentGone, AgentRefused
@@ -56,9 +57,6 @@ INSPECT_WITHIN = 3.0
 REPORT_PERIOD = 30.0
 """Seconds between two updates of the status if only ages have changed."""
 
-CLOCK_STEP = 0.05
-"""Minimum change of the offset between the two clocks, in seconds, that counts as a set clock."""
-
 REASONS: tuple[Trouble, ...] = ("NotWatched", "TooBig", "NeverCame", "NotAsked", "TooOld", "NotCarried")
 """Reasons of the condition StateKept, the most serious first."""
 
@@ -82,7 +80,7 @@ class StateManager:
         """The instance from which state is kept; None if that is not known."""
         self.adopted_nothing = False
         """Whether nothing of the earlier monitor's state can be restored, because of the policy or because it is too old."""
-        self._offset = time.time() - time.monotonic()
+        self._step = CLOCK.step()
         self._period = self._next_take = 0.0
         self._active = ""
         self._persisted: tuple[object, ...] = (self._keeper.revision, self.source)
@@ -181,11 +179,9 @@ class StateManager:
 
     def _follow_clock(self) -> None:
         """Shift all times if the clock was set, so that ages stay as they are."""
-        before, now, after = time.monotonic(), time.time(), time.monotonic()
-        if after - before > CLOCK_STEP / 4:
-            return  # this process was stalled between the three readings: the next evaluation repeats them
-        step, self._offset = now - before - self._offset, now - before
-        if abs(step) > CLOCK_STEP:
+        known = CLOCK.step()
+        step, self._step = known - self._step, known
+        if step:
             self._keeper.shift(step)
             self._capturing.shift(step)
             self._odometry.shift(step)
@@ -195,6 +191,7 @@ class StateManager:
 
     def select(self, onset: float) -> KeptState:
         """Return the state for the instance that takes over after a failure that began at ``onset`` (Unix seconds)."""
+        self._follow_clock()
         if self._carrier.topics:
             self._take_odometry(time.monotonic())
         return self._carrier.carry(self._keeper.select(onset), time.time())

@@ -10,6 +10,7 @@ import time
 from pydantic import ValidationError
 
 from understudy.api import names
+from understudy.clock import CLOCK
 from understudy.failover import pinned
 from understudy.failover.abandoned import AbandonedRecovery, ended
 from understudy.failover.interfaces import GateState, Instance, NoLongerNeeded, Superseded
@@ -76,7 +77,7 @@ class GateControl:
         recovery = None
         if record.recovery:
             try:
-                recovery = Progress.model_validate_json(record.recovery)
+                recovery = Progress.of_record(record.recovery)
             except ValidationError as error:
                 _logger.warning("the recovery record in the gate's annotations is invalid and is ignored: %s", error)
         return GateState(
@@ -105,7 +106,7 @@ class GateControl:
         record, retry, away, workload = previous, RETRY_FIRST, -math.inf, self._view.workload
         name, uid = (target.name, target.uid) if target else ("", "")
         self._crash_points.step("before commit")
-        recovery = progress.model_copy(update={"epoch": previous.epoch + 1}).model_dump_json() if progress else ""
+        recovery = progress.model_copy(update={"epoch": previous.epoch + 1}).record() if progress else ""
         waits_for = progress.waiting.pool if progress is not None and progress.waiting is not None else ""
         if progress is not None:
             self._own = (progress.id, previous.epoch, recovery)
@@ -293,7 +294,7 @@ class GateControl:
         return instance.uid in (record.active_uid, record.admitted_uid)
 
     async def enforced(self, target: Instance, *, since: float) -> float:
-        """Wait until a packet of the instance passes the gate. Returns when the first one did, in Unix seconds."""
+        """Wait until a packet of the instance passes the gate. Returns when the first one did."""
         return await self._probes.wait(target.uid, since)
 
     @property
@@ -302,5 +303,6 @@ class GateControl:
         return self._client.contact.unanswered_since
 
     def last_packet(self, uid: str) -> float | None:
-        """Return when a packet of a pod last passed the gate, in Unix seconds; None if none did."""
-        return self._probes.last(uid)
+        """Return when a packet of a pod last passed the gate; None if none did."""
+        last = self._probes.last(uid)
+        return CLOCK.of_system(last) if last is not None else None

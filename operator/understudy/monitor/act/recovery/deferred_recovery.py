@@ -10,6 +10,7 @@ import time
 from collections.abc import AsyncGenerator
 
 from understudy.api.kinds.robot_workload import GateStatus
+from understudy.clock import CLOCK
 from understudy.failover.decide import Trigger
 from understudy.failover.interfaces import Superseded
 from understudy.failover.progress import Progress
@@ -51,16 +52,16 @@ class DeferredRecovery:
                     yield
                     await asyncio.sleep(CHECK_PERIOD)
         if progress.held:
-            progress.release(time.time())
+            progress.release(CLOCK.now())
             self._notices.event("Normal", "RecoveryReleased", f"{progress.reason}; the monitor starts the recovery now")
 
     async def _fence(self, progress: Progress) -> int:
         """Close the gate and report the deferral. Returns the gate's epoch."""
-        progress.moments.setdefault("held", time.time())
+        progress.moments.setdefault("held", CLOCK.now())
         self._journal.save(progress)
         if not self._gate.state.closed:
             await self._gate.commit(None, progress)
-        progress.moments.setdefault("fenced", time.time())
+        progress.moments.setdefault("fenced", CLOCK.now())
         epoch = self._gate.state.epoch
         self._notices.set(active="", health="Failed", gate=GateStatus(epoch=epoch))
         self._notices.condition("Healthy", "False", "Failed", progress.reason)

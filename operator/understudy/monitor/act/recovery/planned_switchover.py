@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from understudy.api import names
 from understudy.api.conditions import now as moment
 from understudy.api.kinds.switchover_spec import ENDED, Drain, Kind, Phase, Request, SwitchoverStatus, parse
+from understudy.clock import CLOCK
 from understudy.failover import switchover
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotAvailable, Superseded
@@ -245,7 +246,7 @@ class PlannedSwitchovers:
             )
         # The gate's record is reliable even if a late status write of an earlier monitor overwrote a newer status.
         last = self._gate.state.recovery
-        if last is not None and last.moments.get("detected", 0.0) > found.at:
+        if last is not None and CLOCK.to_system(last.moments.get("detected", 0.0)) > found.at:
             what = "another switchover took place" if last.planned else "the active instance failed and was recovered"
             return f"After the request, {what}. Request the switchover again if you still need it."
         return None
@@ -254,7 +255,7 @@ class PlannedSwitchovers:
 
     def _begin(self, wanted: Wanted) -> None:
         choices, context = self._options.choices(), self._options.context()
-        started_at = time.time()
+        started_at = CLOCK.now()
         progress = Progress.begin(wanted.reason, last_healthy=started_at, detected=started_at, planned=True)
         progress.switchover, progress.request = wanted.kind, wanted.request
         if wanted.kind == "Failback" and not any(isinstance(choice.strategy, Restart) for choice in choices):

@@ -4,12 +4,12 @@ this workload's wait."""
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from itertools import chain
 
 from understudy.api import names
+from understudy.clock import CLOCK
 from understudy.failover.pool_queue import Waiter
 from understudy.failover.progress import waiter
 from understudy.kube.watched_collection import any_changed
@@ -51,7 +51,7 @@ class PoolQueue:
             other = waiter((metadata.get("annotations") or {}).get(names.RECOVERY, ""))
             # A monitor writes only its own gate, so a record for another workload is not valid.
             if other is not None and other.workload != self.workload and names.gate(other.workload) == name:
-                found.append(other)
+                found.append(other.moved(-CLOCK.step()))
         return found
 
     def waits(self, me: Waiter, ahead: int, of: int) -> None:
@@ -79,7 +79,7 @@ class PoolQueue:
         self._end(me, "GaveUp", f"got no pod of FallbackPool {me.pool} in %.1f s")
 
     def _end(self, me: Waiter, result: str, words: str) -> None:
-        waited = time.time() - me.since
+        waited = CLOCK.now() - me.since
         self._notices.add(PodAwaited(me.pool, result, waited))
         if self._notices.status.reason("Recovering") == REASON:
             reason, message = self._before
@@ -91,4 +91,4 @@ class PoolQueue:
 
 
 def _clock(moment: float) -> str:
-    return datetime.fromtimestamp(moment, UTC).strftime("%H:%M:%S UTC")
+    return datetime.fromtimestamp(CLOCK.to_system(moment), UTC).strftime("%H:%M:%S UTC")

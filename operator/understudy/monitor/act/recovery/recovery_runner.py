@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import aiohttp
 
 from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.clock import CLOCK
 from understudy.failover import reflex
 from understudy.failover.interfaces import NoLongerNeeded, Superseded
 from understudy.failover.progress import PodIdentity, Progress
@@ -57,7 +58,10 @@ class RecoveryStart:
         self._takeover = takeover
 
     def begin(self, failure: Failure, first_strategy: int) -> Progress:
-        """Return the record of a new recovery, which starts with the strategy of this index."""
+        """Return a new recovery, which starts with the strategy of this index."""
+        return self._begun(failure, first_strategy).moved(-CLOCK.step())
+
+    def _begun(self, failure: Failure, first_strategy: int) -> Progress:
         prepared = self._switchovers.failed(failure.reason)
         state = self._gate.state
         failed = [PodIdentity(name=state.active, uid=state.active_uid)] if not state.closed else []
@@ -101,7 +105,7 @@ class RecoveryRunner:
         with self._notices.recovering():
             # The condition contains the reason, so it is set before the health.
             self._notices.condition("Recovering", "True", progress.occasion, progress.reason)
-            self._notices.set(health="Recovering", failing_since=progress.moments.get("last_healthy"))
+            self._notices.set(health="Recovering", failing_since=_failing_since(progress))
             try:
                 async with self._state_manager.recovering():
                     done = await self._recovered(progress, self._options.choices())
@@ -129,3 +133,8 @@ class RecoveryRunner:
             elif progress.follows and self._view.spec is not None:
                 choices = following(progress.follows, self._view.spec, choices)
             return await recover(progress, choices, context)
+
+
+def _failing_since(progress: Progress) -> float | None:
+    last = progress.moments.get("last_healthy")
+    return CLOCK.to_system(last) if last is not None else None

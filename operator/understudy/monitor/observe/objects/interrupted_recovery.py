@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from datetime import datetime
 
+from understudy.clock import CLOCK
 from understudy.failover.interfaces import Gate
 from understudy.failover.journal import Journal
 from understudy.failover.progress import Committed, Progress, under_way
@@ -45,7 +46,7 @@ def unconcluded(gate: Gate, published: PublishedStatus, given_up: Collection[str
     found = gate.state.recovery
     if found is None or found.switchover is not None or found.id in given_up:
         return None
-    return found if under_way(Committed.of(found), published.listed) else None
+    return found if under_way(Committed.of(found.moved(CLOCK.step())), published.listed) else None
 
 
 def concluded(gate: Gate, published: PublishedStatus) -> Progress | None:
@@ -57,5 +58,5 @@ def concluded(gate: Gate, published: PublishedStatus) -> Progress | None:
         return None  # a planned switchover: no instance failed
     done = left.model_copy(update={"result": "Recovered"}, deep=True)
     if last.moments.verified is not None:
-        done.moments["verified"] = datetime.fromisoformat(last.moments.verified).timestamp()
+        done.moments["verified"] = CLOCK.of_system(datetime.fromisoformat(last.moments.verified).timestamp())
     return done

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 from understudy.api.kinds.failure_policy import FailurePolicySpec, Monitoring
 from understudy.api.kinds.robot_workload import Output, RobotWorkloadSpec
+from understudy.clock import CLOCK
 from understudy.failover.interfaces import Gate, Instance, Instances, Outputs
 from understudy.failover.pinned import PinnedPod
 from understudy.monitor.observe.objects.resource_meter import ResourceMeter
@@ -317,7 +318,7 @@ class HealthObserver:
 
 
 class GatedReaders:
-    """Implements :class:`understudy.failover.interfaces.Outputs`."""
+    """Implements :class:`understudy.failover.interfaces.Outputs`. Times are of the process's clock."""
 
     def __init__(self, observer: HealthObserver, watching: TopicWatch, fleet: Instances, gate: Gate) -> None:
         self._observer, self._watching, self._fleet, self._gate = observer, watching, fleet, gate
@@ -338,9 +339,10 @@ class GatedReaders:
                 return None
             # If two pods cannot be distinguished, a sample that passes the gate is from the pod that the gate names.
             ambiguous = any(instance.name in names for names in self._watching.sources.ambiguous)
-            found = [self._first(topic, instance.name, since, ambiguous) for topic in self.expected]
+            system = CLOCK.to_system(since)
+            found = [self._first(topic, instance.name, system, ambiguous) for topic in self.expected]
             if all(time is not None for time in found):
-                return min(time for time in found if time is not None)
+                return CLOCK.of_system(min(time for time in found if time is not None))
             await asyncio.sleep(CHECK_PERIOD)
 
     def _first(self, topic: str, pod: str, since: float, ambiguous: bool) -> float | None:
@@ -352,14 +354,17 @@ class GatedReaders:
     def last_from_others(self, instance: Instance | None) -> tuple[float, str]:
         """Return when a sample of another instance (of any instance if None) last passed the gate, and from which pod.
 
-        The time is in Unix seconds; 0 if never.
+        The time is 0 if never.
         """
         self._drain()
         name = instance.name if instance is not None else ""
         found = [
             last for topic in self._observer.gated if (last := self._watching.last_from_others(topic, name)) is not None
         ]
-        return max(found, default=(0.0, ""))
+        if not found:
+            return 0.0, ""
+        last_sample, pod = max(found)
+        return CLOCK.of_system(last_sample), pod
 
     def period_of_others(self, instance: Instance) -> float:
         """Return the longest usual time in seconds between two samples of another instance on one topic; 0 if none was heard of late."""
