@@ -7,6 +7,8 @@ these cost more than the work itself.
 
 from __future__ import annotations
 
+import asyncio
+import inspect
 import itertools
 import logging
 from collections.abc import Callable, Sequence
@@ -14,6 +16,7 @@ from typing import Any
 
 import aiohttp
 import kopf
+from kopf._cogs.clients import scanning
 
 from understudy.kube.client import PAGE, POLICIES, POOLS, WORKLOADS, Access, Object, Resource
 
@@ -43,7 +46,19 @@ def registry(see: See, access: Access) -> kopf.OperatorRegistry:
             access.plugin.reject()
         return _session(access, await access.bearer())
 
+    @kopf.on.cleanup(registry=made)
+    async def end_scans(**_: Any) -> None:
+        # If kopf stops while it asks which kinds exist, it leaves these requests behind. It then closes their connections,
+        # and each of them would end with a traceback.
+        left = [task for task in asyncio.all_tasks() if getattr(task.get_coro(), "cr_code", None) in _SCANS]
+        for task in left:
+            task.cancel()
+        await asyncio.gather(*left, return_exceptions=True)
+
     return made
+
+
+_SCANS = {found.__code__ for found in vars(scanning).values() if inspect.iscoroutinefunction(found)}
 
 
 def _session(access: Access, token: str | None) -> kopf.AiohttpSession:
