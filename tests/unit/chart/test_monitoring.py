@@ -17,7 +17,9 @@ from understudy.api.kinds.robot_workload import Health
 from understudy.controller.desired import monitor_deployment
 from understudy.controller.runtime import fleet_metrics
 from understudy.failover.interfaces import Instance
+from understudy.monitor.judge import sole_driver
 from understudy.monitor.judge.gate_enforcement import judge
+from understudy.monitor.notices import ConditionReport
 
 DASHBOARDS = {path.name: json.loads(path.read_text()) for path in (CHART / "files" / "dashboards").glob("*.json")}
 
@@ -69,6 +71,21 @@ def test_a_gate_in_an_unknown_state_raises_no_alert() -> None:
     (alert,) = (alert for alert in alerts() if alert["alert"] == "UnderstudyGateNotEnforced")
     (left_out,) = re.findall(r'reason!~"([^"]+)"', alert["expr"])
     assert sorted(left_out.split("|")) == sorted(reason for _, reason, _ in unknown)
+
+
+def test_a_second_driver_raises_an_alert_and_an_unknown_sender_does_not() -> None:
+    (alert,) = (alert for alert in alerts() if alert["alert"] == "UnderstudySeveralDrivers")
+    (asked,) = re.findall(r'reason=~"([^"]+)"', alert["expr"])
+    known, unknown = (_sole_driver(uid) for uid in ("1", ""))
+    closed = _sole_driver("1", active="")
+    assert (known[0], closed[0], unknown[0]) == ("False", "False", "Unknown")
+    assert sorted(asked.split("|")) == sorted((known[1], closed[1]))
+
+
+def _sole_driver(uid: str, active: str = "w-1") -> ConditionReport:
+    """The condition SoleDriver while somebody else is heard: an instance with a UID, or an unknown sender."""
+    track = sole_driver.Track(sole_driver.Sign("w-2", uid, "/cmd_vel", last=100.0), first=90.0)
+    return sole_driver.judge({(uid, "/cmd_vel"): track}, active, 100.0)
 
 
 def test_the_pod_monitor_selects_every_monitor_and_labels_it_with_its_workload(render: Render) -> None:

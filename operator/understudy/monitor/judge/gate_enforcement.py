@@ -39,12 +39,14 @@ def judge(
     ``admitted_uid`` is the UID of a standby that the gate lets through too; the hints are those of the gate's proof. Reason
     Admitted: no other standby is left to test the gate with, so the result from before that standby was admitted still counts.
     """
-    probing = [i for i in instances if i.has_agent and i.running and not i.terminating and not i.held]
+    # A pod that is being deleted still sends, but its silence does not show that the gate blocks it.
+    running = [i for i in instances if i.has_agent and i.running and not i.held]
+    probing = [i for i in running if not i.terminating]
     if now - since < SETTLE:
         return "Unknown", "Settling", "The gate has just changed, and its effect has not been tested yet."
     leaking = [
         i.name
-        for i in probing
+        for i in running
         # A probe after ``now`` was received before the clock was set back.
         if i.uid not in (active_uid, admitted_uid) and since + SETTLE < last.get(i.uid, 0.0) <= now
     ]

@@ -45,6 +45,23 @@ def test_a_packet_of_a_standby_shows_that_the_network_does_not_enforce() -> None
     assert "w-2" in message
 
 
+@pytest.mark.parametrize("evicted", [False, True])
+def test_a_packet_of_a_pod_that_is_being_deleted_shows_that_the_network_does_not_enforce(evicted: bool) -> None:
+    ending = instance("w-0", terminating=True, evicted=evicted)
+    last = {"uid-w-1": NOW, "uid-w-0": NOW - 1}
+    status, reason, message = judge([ending, ACTIVE, STANDBY], "uid-w-1", last, now=NOW, since=SINCE)
+    assert (status, reason) == ("False", "NotEnforced")
+    assert "w-0" in message
+    silent = {"uid-w-1": NOW, "uid-w-0": SINCE - 1}
+    assert judge([ending, ACTIVE, STANDBY], "uid-w-1", silent, now=NOW, since=SINCE)[0] == "True"
+
+
+def test_a_pod_that_is_being_deleted_and_sends_no_packet_is_no_standby_to_test_the_gate_with() -> None:
+    ending = instance("w-0", terminating=True)
+    judged = judge([ending, ACTIVE], "uid-w-1", {"uid-w-1": NOW}, now=NOW, since=SINCE)
+    assert judged[:2] == ("Unknown", "NoStandby")
+
+
 def test_packets_from_before_the_switch_do_not_count() -> None:
     last = {"uid-w-1": NOW, "uid-w-2": SINCE + SETTLE - 1}
     assert judge([ACTIVE, STANDBY], "uid-w-1", last, now=NOW, since=SINCE)[0] == "True"
