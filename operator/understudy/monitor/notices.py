@@ -238,7 +238,10 @@ class EventRaised(Notice):
 
 @dataclass(frozen=True)
 class RecoveryStarted(Notice):
-    """A recovery has started: the status can be written after it."""
+    """A recovery has started."""
+
+    status_soon: bool
+    """Whether the status is written after the first commit too; otherwise after the end, which is one write less."""
 
 
 @dataclass(frozen=True)
@@ -454,9 +457,9 @@ class Notices:
         self.add(StatusAwaited())
 
     @contextlib.contextmanager
-    def recovering(self) -> Iterator[None]:
-        """Mark a recovery as under way."""
-        self.add(RecoveryStarted())
+    def recovering(self, *, status_soon: bool) -> Iterator[None]:
+        """Mark a recovery as under way. With ``status_soon``, the status reports that once its first commit is made."""
+        self.add(RecoveryStarted(status_soon))
         try:
             yield
         finally:

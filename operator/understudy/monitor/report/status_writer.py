@@ -16,6 +16,7 @@ from understudy.kube.undeclared_fields import apply_declared, lacking
 from understudy.kube.watched_collection import version_of
 from understudy.monitor.notices import (
     EventRaised,
+    GateCommitted,
     Notice,
     Notices,
     RecoveryStarted,
@@ -35,7 +36,8 @@ QUIET = 0.25
 
 UNDER_WAY = 3.0
 """Maximum seconds that a change during a recovery waits for its end, so that both take one write. The record at the gate shows at once
-that a recovery is under way: the operator's storm guard and dependent workloads read that record.
+that a recovery is under way: the operator's storm guard and dependent workloads read that record. A recovery with a standby has a write
+to spare (docs/scale.md), so its begin is written as soon as the first commit is made. It does not go before the commit.
 """
 
 RETRY = 2.0  # seconds
@@ -58,8 +60,9 @@ class StatusWriter:
         self._changed = asyncio.Event()
         self._urgent = asyncio.Event()
         self._free = asyncio.Event()
-        """Set while no recovery is under way."""
+        """Set while no recovery is under way, or if the status is urgent."""
         self._free.set()
+        self._under_way = self._begin_is_urgent = False
         self._applied = ""
         self._written: Object = {}
         """The status that was applied last."""
@@ -87,9 +90,15 @@ class StatusWriter:
                 self._changed.set()
             case EventRaised():
                 self._write_event(notice)
-            case RecoveryStarted():
+            case RecoveryStarted(status_soon=soon):
+                self._under_way, self._begin_is_urgent = True, soon
                 self._free.clear()
             case RecoveryStopped():
+                self._under_way = self._begin_is_urgent = False
+                self._free.set()
+            case GateCommitted() if self._begin_is_urgent:
+                self._begin_is_urgent = False
+                self._urgent.set()
                 self._free.set()
             case StatusAwaited():
                 self._urgent.set()
@@ -128,6 +137,8 @@ class StatusWriter:
             await self._settled()
             self._changed.clear()
             self._urgent.clear()
+            if self._under_way:
+                self._free.clear()
             try:
                 await self.flush()
             except FAILURES as error:

@@ -20,7 +20,7 @@ from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import ApiError, Client, Object
 from understudy.kube.events import Recorder
 from understudy.monitor.act.recovery.recovery_messages import describe_switchover
-from understudy.monitor.notices import Notices, PublishedStatus
+from understudy.monitor.notices import GateCommitted, Notices, PublishedStatus
 from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.wakeups import Wakeups
 from understudy.monitor.report import monitor_metrics, status_writer
@@ -338,9 +338,9 @@ async def running(
 
 
 @contextlib.contextmanager
-def recovering(found: Monitor) -> Iterator[None]:
+def recovering(found: Monitor, *, status_soon: bool = False) -> Iterator[None]:
     """A recovery, of which everything is said in the order in which monitors do."""
-    with found.recovering():
+    with found.recovering(status_soon=status_soon):
         found.set(health="Recovering", failing_since=999.9)
         yield
         found.record(done(1000.0, planned=False))
@@ -385,6 +385,23 @@ async def test_a_requested_write_happens_at_once_during_a_recovery(monkeypatch: 
             await asyncio.sleep(0.02)
             found.request_write()
             await until(lambda: health(api) == "Recovering")
+
+
+async def test_a_recovery_whose_begin_is_reported_is_written_after_its_first_commit_and_after_its_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with running(monkeypatch, under_way=60.0) as (api, found):
+        with recovering(found, status_soon=True):
+            await asyncio.sleep(0.02)
+            assert api.writes == 0, "the commit goes first"
+            found.add(GateCommitted(0.003))
+            await until(lambda: health(api) == "Recovering")
+            found.set(strategy="Restart")
+            found.add(GateCommitted(0.003))
+            await asyncio.sleep(0.02)
+            assert api.writes == 1
+        await until(lambda: health(api) == "Healthy")
+    assert api.writes == 2
 
 
 async def test_a_pending_write_waits_for_the_end_of_a_recovery(monkeypatch: pytest.MonkeyPatch) -> None:

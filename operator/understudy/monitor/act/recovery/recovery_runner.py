@@ -102,13 +102,14 @@ class RecoveryRunner:
 
     async def carry_out(self, progress: Progress, policy: FailurePolicySpec) -> Outcome:
         """Carry out a recovery by a policy. An error that ends it early is not raised, but is in the outcome."""
-        with self._notices.recovering():
+        choices = self._options.choices()
+        with self._notices.recovering(status_soon=_has_own_instance(progress, choices)):
             # The condition contains the reason, so it is set before the health.
             self._notices.condition("Recovering", "True", progress.occasion, progress.reason)
             self._notices.set(health="Recovering", failing_since=_failing_since(progress))
             try:
                 async with self._state_manager.recovering():
-                    done = await self._recovered(progress, self._options.choices())
+                    done = await self._recovered(progress, choices)
             except ENDS as error:
                 if isinstance(error, Superseded) or progress.result != "Recovered":
                     return self.abandoned(progress, error)
@@ -133,6 +134,13 @@ class RecoveryRunner:
             elif progress.follows and self._view.spec is not None:
                 choices = following(progress.follows, self._view.spec, choices)
             return await recover(progress, choices, context)
+
+
+def _has_own_instance(progress: Progress, choices: Sequence[Choice]) -> bool:
+    """Return whether a standby of the workload takes over. Other recoveries make more commits and have no write to spare."""
+    return progress.taken_over is not None or any(
+        one.strategy.has_own_instance for one in choices[progress.index :][:1]
+    )
 
 
 def _failing_since(progress: Progress) -> float | None:
