@@ -84,8 +84,8 @@ CLAIM = f"{GROUP}/claim"
 CLAIMED_AT = f"{GROUP}/claimed-at"
 """Annotation of a pool's pod: when it was claimed, in whole unix seconds."""
 
-APART = f"{GROUP}/apart-from"
-"""Annotation of a standby that must not be on the node of an instance: the name of that instance."""
+REPLACES = f"{GROUP}/replaces"
+"""Annotation of a standby that was created to replace another one on another node: the UID of that pod."""
 
 NOT_MOVED = f"{GROUP}/not-moved"
 """Annotation of a standby on the node of the active instance: when its replacement elsewhere could not start, in whole unix seconds."""

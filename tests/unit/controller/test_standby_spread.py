@@ -140,7 +140,7 @@ class TestPoolStandbys:
     def test_a_replacement_that_cannot_start_is_given_up_for_some_time(self, age: float, reason: str) -> None:
         made = world()
         old = standby(made, "a")
-        notes = {names.APART: "w-active"}
+        notes = {names.REPLACES: "uid-w-s"}
         stuck = standby(made, "", "w-t", ready=False, age=age, annotations=notes)
         if reason:
             stuck["status"]["conditions"] += [{"type": "PodScheduled", "status": "False", "reason": reason}]
@@ -172,12 +172,14 @@ class TestOwnPod:
 
     def test_it_is_replaced_once_and_the_other_standby_stays_until_it_is_elsewhere(self) -> None:
         made = self.driven()
-        own, other = self.own(made, "a", age=50.0), standby(made, "b", "w-t", age=20.0)
+        own = self.own(made, "a", age=20.0)
+        other = standby(made, "b", "w-t", age=20.0, annotations={names.REPLACES: "uid-w-own"})
         (new,), gone = now(made, own)
         assert (apart(new), gone) == (["w-active"], [])
+        assert new["metadata"]["annotations"][names.REPLACES] == "uid-w-own"
         assert now(made, own, standby(made, "b", "w-t", ready=False, age=20.0)) == ([], [])
         assert now(made, own, other) == ([], ["w-own"])
-        again = self.own(made, "a", "w-own2", age=5.0)
+        again = self.own(made, "a", "w-own2", age=20.0)
         assert now(made, again, other) == ([], []), "the scheduler placed it there again"
         assert now(made, self.own(made, "b", "w-own2", ready=False, age=5.0), other) == ([], [])
         assert now(made, self.own(made, "b", "w-own2", age=5.0), other) == ([], ["w-t"])

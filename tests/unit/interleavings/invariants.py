@@ -218,11 +218,31 @@ class Invariants:
                 # Where one of a new template never gets up, the one before it stays; and where that is the workload's own, one more.
                 if any(self._is_of(workload, pod) and not kube_objects.ready(pod) for pod in self._waiting(mine)):
                     wanted = max(wanted, min(len(standing), wanted + 1))
+                waiting = [pod for pod in self._waiting(mine) if _labels(pod).get(names.WORKLOAD) == workload]
+                beside = [pod for pod in waiting if leaving_nodes.of(pod) in self._driven_from(workload)]
+                if any(self._is_of(workload, pod) for pod in beside):
+                    # A standby elsewhere stays beside it: the next own pod may be placed there again.
+                    wanted = max(wanted, min(len(standing), wanted + 1))
+                if waiting and len(beside) == len(waiting) and self._could_move(waiting):
+                    yield f"every standby of {workload} in pool {pool} is on the node of the active instance"
                 if len(standing) != wanted and all(self._stands_by(pod) for pod in standing):
                     yield f"pool {pool} has {len(standing)} pods of {workload} instead of {wanted}"
                 yield from (f"pod {_name(pod)} isn't up" for pod in standing if not self._up(pod))
             if all(self._stands_by(pod) for pod in self._waiting(mine)):
                 yield from self._outdated(self._own())
+
+    def _driven_from(self, workload: str) -> set[str]:
+        """The node of a workload's active instance."""
+        in_control, pods = self._in_control(), self._server.items["pods"].values()
+        found = (pod for pod in pods if pod["metadata"]["uid"] in in_control)
+        return {leaving_nodes.of(pod) for pod in found if _labels(pod).get(names.WORKLOAD) == workload}
+
+    def _could_move(self, standbys: Sequence[Object]) -> bool:
+        """Whether another node accepts one of these standbys on the active instance's node, and none was tried in vain."""
+        places = {leaving_nodes.of(pod) for pod in standbys}
+        others = [node for node in self._server.items["nodes"].values() if _name(node) not in places]
+        tried = any(names.NOT_MOVED in kube_objects.notes(pod) for pod in standbys)
+        return not tried and any(not leaving_nodes.is_leaving(node) for node in others)
 
     def _own(self) -> list[Object]:
         """The pods of workloads' own controllers that wait, in whoever's place."""

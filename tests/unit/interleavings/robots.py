@@ -189,12 +189,16 @@ class Robots:
         if pod is None or pod["metadata"]["uid"] != uid or "deletionTimestamp" in pod["metadata"]:
             return
         labels = _labels(pod)
+        places = self._accepting(pod)
+        if not places:
+            self.later(1.0, self._run, uid, place)
+            return
         self._addresses += 1
         found = Running(
             uid=uid,
             name=place[1],
             place=place,
-            node=self.choices.choice(self.places()),
+            node=self.choices.choice(places),
             robot=labels.get(names.WORKLOAD) or labels.get(REFERRED, ""),
             held=labels.get(names.HELD) == "true",
             ip=f"10.0.{self._addresses // 250}.{self._addresses % 250 + 1}",
@@ -205,6 +209,14 @@ class Robots:
         self.running[uid] = found
         slow = self.choices.random() < self.luck.slow
         self.later(self.between(0.1, 0.6) if not slow else self.between(1, 5), self._up, uid)
+
+    def _accepting(self, pod: Object) -> list[str]:
+        """The nodes on which the scheduler may place a pod: those without the instances that it must be apart from."""
+        apart = (pod["spec"].get("affinity") or {}).get("podAntiAffinity") or {}
+        terms = apart.get("requiredDuringSchedulingIgnoredDuringExecution") or []
+        others = {term["labelSelector"]["matchLabels"][names.INSTANCE] for term in terms}
+        taken = {found.node for found in self.running.values() if found.exists and found.name in others}
+        return [node for node in self.places() if node not in taken]
 
     def _up(self, uid: str) -> None:
         found = self.running.get(uid)

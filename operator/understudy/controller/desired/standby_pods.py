@@ -18,7 +18,7 @@ from understudy.controller.observed import (
 )
 from understudy.controller.observed.observation import Observed
 from understudy.controller.plan import Create, Delete, Patch, Plan
-from understudy.controller.pods import instance_pod, pod_counts, pod_placement
+from understudy.controller.pods import instance_pod, pod_counts
 from understudy.controller.pods.pool_pods import UniqueValues
 from understudy.kube.client import PODS, REPLICA_SETS, Object
 
@@ -85,7 +85,7 @@ def keep(made: Plan, observed: Observed, workload_plan: WorkloadPlan, pool: str,
         name = fresh.name(kube_objects.name(workload))
         body = instance_pod.pod(built, name=name, namespace=workload["metadata"]["namespace"], owner=owner)
         if found.move is not None and observed.active is not None:
-            body = pod_placement.apart_from(body, kube_objects.name(observed.active))
+            body = standby_spread.replacement(body, found.move, observed.active)
         made.writes.append(Create(PODS, body, counted=True))
     made.writes += [Delete(PODS, pod) for pod in change.delete]
     for delay in (change.again_after, found.again_after):
@@ -148,10 +148,15 @@ def _renewed(
     live = observed.owned.get(("replicasets", kube_objects.name(observed.workload)))
     # Before the controller has the current template, it would create another pod of the old one.
     go = len(ready) >= want and live is not None and _template_of(live) == own and not _held(observed)
-    # If a template always places its pods on such a node, the next pod is newer than the standbys that replace it.
-    # Without this check, the replacement would never end.
+    # If a template always places its pods on such a node, the next pod is newer than the standbys that replace it, or is
+    # not the one that they replace. Without this check, the replacement would never end.
     newest = max(map(kube_objects.created, ready), default=0.0)
-    going = outdated + [pod for pod in moving if kube_objects.created(pod) < newest]
+    replaced = {kube_objects.notes(pod).get(names.REPLACES) for pod in ready}
+    going = outdated + [
+        pod
+        for pod in moving
+        if (kube_objects.uid(pod) in replaced if pod is move else kube_objects.created(pod) < newest)
+    ]
     return int(pool == displaced), going if go else []
 
 

@@ -62,11 +62,18 @@ def spread(observed: Observed, template: Object, built: Object, standbys: Sequen
     if not any(leaving_nodes.accepts(node, tolerations) for node in others):
         return Spread()
     for pod in standbys:
-        if names.APART in kube_objects.notes(pod) and not kube_objects.ready(pod):
+        if names.REPLACES in kube_objects.notes(pod) and not kube_objects.ready(pod):
             limit = _UNPLACED_SECONDS if pod_diagnosis.trouble(pod) is not None else _STARTING_SECONDS
             rest = limit - (observed.now - kube_objects.created(pod))
             return Spread(move=beside[0], again_after=rest) if rest > 0.0 else Spread(give_up=beside[0])
     return Spread(move=beside[0])
+
+
+def replacement(body: Object, replaced: Object, active: Object) -> Object:
+    """Return a new standby that replaces one on another node than that of the active instance."""
+    annotations = {**(body["metadata"].get("annotations") or {}), names.REPLACES: kube_objects.uid(replaced)}
+    noted = {**body, "metadata": {**body["metadata"], "annotations": annotations}}
+    return pod_placement.apart_from(noted, kube_objects.name(active))
 
 
 def _first_to_go(pod: Object) -> tuple[bool, bool, float, str]:

@@ -72,12 +72,7 @@ def apart_from(pod: Object, instance: str) -> Object:
     key = "requiredDuringSchedulingIgnoredDuringExecution"
     term = {"topologyKey": _HOSTNAME, "labelSelector": {"matchLabels": {names.INSTANCE: instance}}}
     apart = {**apart, key: [*(apart.get(key) or []), term]}
-    annotations = {**(pod["metadata"].get("annotations") or {}), names.APART: instance}
-    return {
-        **pod,
-        "metadata": {**pod["metadata"], "annotations": annotations},
-        "spec": {**pod["spec"], "affinity": {**affinity, "podAntiAffinity": apart}},
-    }
+    return {**pod, "spec": {**pod["spec"], "affinity": {**affinity, "podAntiAffinity": apart}}}
 
 
 def leave_lost_nodes(spec: Object) -> None:

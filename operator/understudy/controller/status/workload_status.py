@@ -117,7 +117,7 @@ def _reconciled(observed: Observed, workload_plan: WorkloadPlan, problems: Seque
         return no("InProgress", "Waiting for the address of the discovery server's Service.")
     kept = standby_pods.awaited(observed, workload_plan)
     # If no node accepts a standby that must be elsewhere, the present ones stay, and nothing is missing.
-    unplaced = [p for p in observed.instances if names.APART in kube_objects.notes(p) and not leaving_nodes.of(p)]
+    unplaced = [p for p in observed.instances if names.REPLACES in kube_objects.notes(p) and not leaving_nodes.of(p)]
     if found := pod_diagnosis.first([pod for pod in observed.instances if pod not in unplaced]):
         return no(found.reason, f"{found.message} {kept}." if kept else found.message)
     if kept:
