@@ -79,7 +79,6 @@ class Goal:
     """UID of the instance that decides about the goal; empty if none does."""
     attempts: dict[str, Attempt] = field(default_factory=dict)
     """The latest attempt at each instance, by the UID of the instance."""
-    tries: int = 0
     cancels: list[tuple[str, int]] = field(default_factory=list)
     """Clients' requests to cancel it that the instance has not answered yet."""
     results: list[tuple[str, int]] = field(default_factory=list)
@@ -114,7 +113,8 @@ class Goal:
     def attempt(self, uid: str) -> Attempt:
         """Start an attempt at an instance.
 
-        Its id is the client's own, or a new one if the client's was already used there.
+        Its id is the client's own. If that was already used there, it follows from the last one, so that each proxy that knows the last
+        attempt gives the next one the same id, and the instance executes it once.
         """
         before = self.attempts.get(uid)
         if before is None:
@@ -122,8 +122,7 @@ class Goal:
         elif before.at is AttemptState.REJECTED:
             made = Attempt(before.id)
         else:
-            self.tries += 1
-            made = Attempt(uuid.uuid5(uuid.UUID(self.id), f"{uid} {self.tries}").hex)
+            made = Attempt(uuid.uuid5(uuid.UUID(before.id), uid).hex)
         self.attempts[uid] = made
         return made
 
@@ -153,7 +152,7 @@ class Goal:
     @classmethod
     def from_wire(cls, data: Mapping[str, Any]) -> Goal:
         """Read the JSON object. Raises KeyError, TypeError and ValueError if it is invalid."""
-        goal = cls(**data)
+        goal = cls(**{key: value for key, value in data.items() if key != "tries"})  # of an earlier version
         goal.phase = Phase(data["phase"])
         goal.attempts = {uid: Attempt(**{**a, "at": AttemptState(a["at"])}) for uid, a in data["attempts"].items()}
         goal.end = GoalEnd(**data["end"]) if data["end"] else None

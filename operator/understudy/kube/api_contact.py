@@ -51,5 +51,8 @@ class ApiContact:
         """Since when the API server answers no request; None while it answers."""
         if self._failing_since is not None:
             return self._failing_since
-        oldest = min(self._asked.values(), default=None)
-        return oldest if oldest is not None and asyncio.get_running_loop().time() - oldest >= SLOW else None
+        if not self._asked:
+            return None
+        # A request that is under way while others are answered may be lost. What counts is the time without any answer.
+        since = max(min(self._asked.values()), self._answered_at)
+        return since if asyncio.get_running_loop().time() - since >= SLOW else None

@@ -61,6 +61,17 @@ class TestRestart:
         assert world.instances["b"].starts == [goal]
 
 
+def adopted(world: World, goal: str) -> GoalLedger:
+    """The ledger of a proxy that has no journal, and has adopted a goal from the active instance."""
+    note, id = world.ledger.goals[goal].note(), world.id_at(goal, "a")
+    ledger = GoalLedger()
+    assert world.ledger.situation is not None
+    ledger.place(world.ledger.situation, world.now)
+    ledger.adopt("a", id, note, "goal", None, world.now)
+    ledger.report("a", id, AttemptState.RUNNING, world.now)
+    return ledger
+
+
 class TestMissingJournal:
     """As when the monitor's pod is on another node now: what the instance in control kept is taken up."""
 
@@ -80,6 +91,30 @@ class TestMissingJournal:
         assert world.instances["b"].starts == [goal]
         world.end("b", goal)
         assert world.results == {goal: (SUCCEEDED, "b")}
+
+    def test_a_goal_that_was_lost_before_and_after_its_adoption_is_executed_again(self, world: World) -> None:
+        goal = world.ask()
+        world.restart_application("a")
+        world.later(1.0)
+        world.ledger = adopted(world, goal)
+        world.restart_application("a")
+        world.later(1.0)
+        assert len(world.instances["a"].starts) == 3
+        assert world.instances["a"].running == {world.id_at(goal, "a"): None}
+
+    def test_two_proxies_give_the_next_attempt_the_same_id_so_the_instance_executes_it_once(self, world: World) -> None:
+        """As if one is cut off from the API server, but neither from the clients nor from the agent, and its successor runs."""
+        goal = world.ask()
+        world.restart_application("a")
+        world.later(1.0)
+        cut_off, id = world.ledger, world.id_at(goal, "a")
+        successor = adopted(world, goal)
+        for ledger in (cut_off, successor):
+            ledger.report("a", id, AttemptState.LOST, world.now)
+            ledger.advance(world.now + 1.0)
+        (order,), (other) = successor.orders("a"), [order.id for order in cut_off.orders("a")]
+        assert [order.id] == other
+        assert order.id != id
 
     def test_a_goal_that_ended_during_the_restart_is_reported_and_not_sent_again(self, world: World) -> None:
         goal = world.ask()

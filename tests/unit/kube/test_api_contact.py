@@ -54,6 +54,27 @@ async def test_a_lost_request_is_no_outage_if_another_one_was_answered_meanwhile
     assert contact.unanswered_since is None
 
 
+async def test_a_lost_request_that_is_still_under_way_is_no_outage_while_others_are_answered() -> None:
+    contact = ApiContact()
+    with contact.asking():
+        for _ in range(5):
+            await asyncio.sleep(0.02)
+            with contact.asking():
+                pass
+        assert contact.unanswered_since is None
+
+
+async def test_an_outage_that_begins_after_an_answer_counts_from_that_answer_for_an_earlier_request() -> None:
+    contact, loop = ApiContact(), asyncio.get_running_loop()
+    with contact.asking():
+        await asyncio.sleep(0.02)
+        with contact.asking():
+            pass
+        answered = loop.time()
+        await asyncio.sleep(0.06)
+        assert contact.unanswered_since == pytest.approx(answered, abs=0.005)
+
+
 @pytest.mark.parametrize(("after", "unanswered"), [(0.0, False), (0.06, True)])
 async def test_a_cancelled_request_counts_only_if_it_waited_for_long(after: float, unanswered: bool) -> None:
     contact = ApiContact()

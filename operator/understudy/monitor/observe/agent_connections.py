@@ -216,13 +216,18 @@ class AgentConnections:
         if not link.connected or (wanted := self._configuration(uid)) is None or self._configured.get(uid) == wanted:
             return
         self._configured[uid] = wanted
+        epoch = self._epoch()
 
         async def configure() -> None:
             try:
-                await self._send_settings(link, wanted)
-            except (AgentGone, AgentRefused) as error:
+                # A successor of this monitor may have configured the agent by a newer policy, at the same epoch.
+                await self._confirm(epoch)
+                if self._configured.get(uid) == wanted:
+                    await self._send_settings(link, wanted)
+            except (AgentGone, AgentRefused, NotVerified) as error:
                 _logger.warning("agent of %s not configured: %s", link.pod, error)
-                self._configured.pop(uid, None)
+                if self._configured.get(uid) == wanted:
+                    self._configured.pop(uid)
 
         self._spawn(configure())
 

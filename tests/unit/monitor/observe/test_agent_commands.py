@@ -112,9 +112,32 @@ async def test_agents_receive_each_new_epoch(
             await asyncio.sleep(0.01)
 
 
-async def test_nobody_is_commanded_while_the_api_server_does_not_answer(
-    agents: AgentConnections, agent: RecordingAgent, objects: ClusterObjects
+async def test_an_agent_is_configured_again_only_once_the_api_server_confirms_the_gate(
+    agents: AgentConnections, agent: RecordingAgent, objects: ClusterObjects, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """A successor of a monitor that is cut off may have configured the agent by a newer policy, at the same epoch."""
+    monkeypatch.setattr(module, "CONFIRMED_FOR", 0.0)
+    objects.client.failing = lambda method, name: TimeoutError()
+    before = len(agent.epochs("configure"))
+    agent.writers[-1].transport.abort()
+    async with asyncio.timeout(20):
+        while len(agent.writers) < 2:
+            await asyncio.sleep(0.01)
+    for _ in range(20):
+        agents.follow([INSTANCE])
+        await asyncio.sleep(0.01)
+    assert len(agent.epochs("configure")) == before
+    objects.client.failing = lambda method, name: None
+    async with asyncio.timeout(20):
+        while len(agent.epochs("configure")) == before:
+            agents.follow([INSTANCE])
+            await asyncio.sleep(0.01)
+
+
+async def test_nobody_is_commanded_while_the_api_server_does_not_answer(
+    agents: AgentConnections, agent: RecordingAgent, objects: ClusterObjects, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "CONFIRMED_FOR", 0.0)
     objects.client.failing = lambda method, name: TimeoutError()
     commanding = asyncio.create_task(run(agents))
     await asyncio.sleep(2 * PROCEDURE.within)
@@ -128,9 +151,10 @@ async def test_nobody_is_commanded_while_the_api_server_does_not_answer(
 
 
 async def test_nobody_is_commanded_by_a_monitor_that_another_one_has_replaced(
-    agents: AgentConnections, agent: RecordingAgent, objects: ClusterObjects
+    agents: AgentConnections, agent: RecordingAgent, objects: ClusterObjects, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The watch has not reported the commit of the other monitor yet."""
+    monkeypatch.setattr(module, "CONFIRMED_FOR", 0.0)
     known = objects.view.gates.items[names.gate("w")]
     objects.put_gate(GateState(epoch=7, active="w-2", active_uid="uid-2"))
     objects.view.gates.items[names.gate("w")] = known
