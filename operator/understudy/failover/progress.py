@@ -70,6 +70,8 @@ class Progress(Model):
     """Its place in the queue for a pod of a shared pool, while it waits. Other workloads read it next to the gate."""
     healthy_again: bool = Field(default=False, exclude=True)
     """Whether the instance whose failure began the recovery is healthy by what was received since then. Counts until the first commit."""
+    judged_at: float = Field(default=0.0, exclude=True)
+    """When that was judged last, by the event loop's clock; 0 if it never was."""
 
     @classmethod
     def begin(

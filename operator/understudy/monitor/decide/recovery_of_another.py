@@ -24,7 +24,8 @@ class RecoveryOfAnother:
     def occurrence(self, found: Progress | None) -> Occurrence | None:
         """Return the trigger; None if no other monitor's recovery is under way.
 
-        A monitor that lives commits or records the end within the time of the strategies that are left. After that, it counts as stopped.
+        A monitor that lives commits or records the end within the time of the strategies that are left, and the time for which it waits for
+        a pod of a shared pool. After that, it counts as stopped.
         """
         seen = (found.id, found.epoch) if found is not None else ("", 0)
         if seen != self._seen:
@@ -32,6 +33,8 @@ class RecoveryOfAnother:
         if found is None:
             return None
         within = LASTS + sum(choice.verify_within for choice in self._options.choices()[found.index :])
+        if found.waiting is not None:
+            within += found.waiting.until - found.waiting.since
         unmet = None
         if time.monotonic() - self._since < within:
             words = f"another monitor carries out recovery {found.id}; if it does not end within {within:.0f} s, this monitor continues it"

@@ -19,7 +19,7 @@ from understudy.monitor.observe.robot.health_observer import HealthObserver
 OLD = 1.0
 """Seconds after which a decision is confirmed before a commit. A commit that is answered at the first try is earlier."""
 
-PERIOD = 0.1
+PERIOD = 0.05
 """Seconds between two reads of the samples, so that they are complete when the instance is judged."""
 
 
@@ -49,6 +49,7 @@ class Reassessment:
             self._observer.drain(self._fleet.of_workload(), failed.name)
             if (age := time.monotonic() - decided) >= OLD:
                 progress.healthy_again = self._healthy_again(failed, age)
+                progress.judged_at = asyncio.get_running_loop().time()
             await asyncio.sleep(PERIOD)
 
     def _healthy_again(self, failed: PodIdentity, age: float) -> bool:

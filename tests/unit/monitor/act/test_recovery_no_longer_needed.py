@@ -86,6 +86,18 @@ async def test_an_instance_that_is_healthy_again_is_neither_fenced_nor_deleted(m
     assert notices.status.recoveries == ()
 
 
+@pytest.mark.parametrize("phase", [0.06, 0.08])
+async def test_an_instance_that_is_heard_again_a_moment_after_the_api_server_is_not_fenced(
+    monitor: CutOff, phase: float
+) -> None:
+    """As if one link to both of them was cut."""
+    loop = asyncio.get_running_loop()
+    loop.call_later(0.7 + phase, monitor.answers, True)
+    loop.call_later(0.73 + phase, setattr, monitor.observer, "health", HEALTHY)
+    await monitor.recover()
+    assert monitor.objects.gate.state.active == ACTIVE.name
+
+
 async def test_an_instance_that_stays_silent_is_fenced_once_the_api_server_answers(monitor: CutOff) -> None:
     later(monitor, FAILED)
     await monitor.recover()

@@ -14,6 +14,7 @@ from tests.unit.monitor.monitors import GivenMonitor
 from understudy.api.kinds.pause_spec import Pause
 from understudy.failover.decide import Decision, Recover, Trigger
 from understudy.failover.interfaces import GateState, Instance
+from understudy.failover.pool_queue import Waiter
 from understudy.failover.progress import LASTS, PodIdentity, Progress
 from understudy.monitor.decide import recovery_of_another
 from understudy.monitor.decide.stage import Resolution
@@ -69,6 +70,17 @@ async def test_a_recovery_whose_monitor_stopped_is_finished_by_the_other_monitor
         async with asyncio.timeout(0.2):  # its agent never answers here
             await beside.loop.carry_through(Resolution(decision))
     assert beside.objects.notices.status.by_type["Recovering"].message == FOREIGN.reason
+
+
+async def test_a_monitor_that_waits_for_a_pod_of_a_shared_pool_counts_as_living_for_that_time_too(
+    tmp_path: Path, clock: Clock
+) -> None:
+    waiting = Waiter(workload="w", pool="spare", since=99.6, until=99.6 + 300.0)
+    beside = Beside(tmp_path, left=FOREIGN.model_copy(update={"waiting": waiting}))
+    for clock.now in (100.0, 100.0 + 30.0 + LASTS, 100.0 + 300.0 + 30.0 + LASTS - 0.1):
+        assert (await beside.look()).reason == "RecoveryUnderWay"
+    clock.now += 0.2
+    assert isinstance(await beside.look(), Recover)
 
 
 async def test_each_commit_of_the_other_monitor_shows_that_it_lives(tmp_path: Path, clock: Clock) -> None:

@@ -31,6 +31,12 @@ RETRY_FIRST, RETRY_MOST = 0.05, 0.25  # seconds; an executing standby drives so 
 TRY_WITHIN = 2.0
 """Seconds after which a commit without an answer is tried again, over a new connection."""
 
+HEARD_AGAIN = 0.05
+"""Seconds after the API server's return in which the robot may be heard again too, before an instance that is heard counts as failed."""
+
+JUDGED_WITHIN = 0.2
+"""Maximum seconds that a commit waits after the API server's return for a new judgement of the instance that it fences."""
+
 WAKING = 15.0
 """Seconds after the API server's return for which a 401 or 403 is not final: it may not have loaded the roles yet."""
 
@@ -139,10 +145,13 @@ class GateControl:
                 away = time.monotonic()
                 await asyncio.sleep(retry)
                 retry = min(2 * retry, RETRY_MOST)
-            record = await self._reread(previous, uid, recovery) or record
+            read = await self._reread(previous, uid, recovery)
+            record = read or record
             if record.epoch > previous.epoch:
                 self._own = (self._own[0], record.epoch, recovery)
                 return self.state
+            if read is not None and progress is not None and self._fences_first(record, progress):
+                await _judged_again(progress)
         self._notices.add(GateCommitted(time.monotonic() - asked))
         self._view.gates.put(gate)
         self._own = (self._own[0], previous.epoch + 1, recovery)
@@ -186,11 +195,15 @@ class GateControl:
 
     def _still_needed(self, record: GateRecord, progress: Progress | None) -> None:
         """Raise NoLongerNeeded if a recovery would begin by fencing an instance that is healthy again."""
-        if progress is None or not progress.healthy_again or record.active_uid != progress.failed[0].uid:
-            return
-        begun = beside(record.recovery)
-        if begun is None or begun.id != progress.id:
+        if progress is not None and progress.healthy_again and self._fences_first(record, progress):
             raise NoLongerNeeded(f"{record.active} has been healthy again since the API server could not be reached")
+
+    def _fences_first(self, record: GateRecord, progress: Progress) -> bool:
+        """Whether a commit would begin a recovery by fencing the instance that failed."""
+        if not progress.failed or record.active_uid != progress.failed[0].uid:
+            return False
+        begun = beside(record.recovery)
+        return begun is None or begun.id != progress.id
 
     async def admit(self, standby: Instance | None) -> bool:
         """Let a standby through beside the active pod, or no standby (None). Returns whether the gate was written.
@@ -306,3 +319,15 @@ class GateControl:
         """Return when a packet of a pod last passed the gate; None if none did."""
         last = self._probes.last(uid)
         return CLOCK.of_system(last) if last is not None else None
+
+
+async def _judged_again(progress: Progress) -> None:
+    """Wait until the failed instance was judged by what was received since now, if the decision is old enough to be judged again.
+
+    One link may have been cut to the robot and to the API server, which answers again.
+    """
+    loop = asyncio.get_running_loop()
+    answered = now = loop.time()
+    while 0 < progress.judged_at < answered + HEARD_AGAIN and now < answered + JUDGED_WITHIN:
+        await asyncio.sleep(JUDGED_WITHIN / 20)
+        now = loop.time()
