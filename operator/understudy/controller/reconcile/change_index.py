@@ -287,7 +287,8 @@ def _after_node(change: ObservedChange, store: Store) -> Iterator[Key]:
                 yield Key(plural.plural, namespace, labels[label])
         if labels.get(names.SOURCE) == "workload":
             yield from _stood_in_for(labels.get(names.WORKLOAD, ""), store, namespace)
-    if change.new is not None and not leaving_nodes.is_leaving(change.new):
+    # A node that is added accepts no pods at first. When the operator starts, each node of the cluster is added.
+    if change.old is not None and change.new is not None and not leaving_nodes.is_leaving(change.new):
         yield from _sharing_a_node(store)
 
 
