@@ -36,7 +36,8 @@ class ProcessClock:
         """Return by how many seconds the system's clock was set since the process started; exactly 0 if nobody set it."""
         offset = _offset()
         if abs(offset - self._known) >= LEAST_STEP:
-            self._known = offset
+            is_as_at_begin = abs(offset - self._begun) < LEAST_STEP
+            self._known = self._begun if is_as_at_begin else offset
         return self._known - self._begun
 
     def to_system(self, moment: float) -> float:
