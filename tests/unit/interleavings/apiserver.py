@@ -5,10 +5,11 @@ What is stored is never changed in place, so that what was read stays as it was 
 
 from __future__ import annotations
 
+import json
 import re
 from bisect import bisect_right
 from collections import defaultdict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
 from typing import Any, NamedTuple
 
@@ -63,6 +64,8 @@ class ApiServer:
         self.items: dict[str, dict[Place, Object]] = defaultdict(dict)
         self._applied = dict(applied or {})
         self.history: dict[str, list[Event]] = defaultdict(list)
+        self._encoded: dict[str, bytes] = {}
+        """Objects as JSON, by their versions."""
         self.changed: Callable[[str, Object | None, Object | None, str], None] = lambda plural, old, new, by: None
         """Called after every write: plural, what was, what is, and who wrote."""
 
@@ -71,7 +74,11 @@ class ApiServer:
         made = ApiServer(clock, self._applied)
         made.version = self.version
         made.items = defaultdict(dict, {plural: dict(items) for plural, items in self.items.items()})
+        made._encoded = {item["metadata"]["resourceVersion"]: self.encoded(item) for item in made._all()}
         return made
+
+    def _all(self) -> Iterator[Object]:
+        return (item for items in self.items.values() for item in items.values())
 
     # -- requests ---------------------------------------------------------------------------------------------------
 
@@ -101,6 +108,13 @@ class ApiServer:
     def get(self, plural: str, place: Place) -> Object | None:
         """An object, or None."""
         return self.items[plural].get(place)
+
+    def encoded(self, item: Object) -> bytes:
+        """An object as JSON."""
+        version = item["metadata"]["resourceVersion"]
+        if version not in self._encoded:
+            self._encoded[version] = json.dumps(item, separators=(",", ":")).encode()
+        return self._encoded[version]
 
     def _existing(self, plural: str, place: Place) -> Object:
         found = self.items[plural].get(place)

@@ -69,7 +69,8 @@ class VirtualLoop(asyncio.AbstractEventLoop):
         self._timers: list[tuple[float, int, asyncio.TimerHandle]] = []
         self._count = 0
         self.steps = self._asked = 0
-        self._processes: list[Process] = []
+        self._runnable: list[Process] = []
+        """Those with something to do; dead and stalled ones too."""
         self._everybody: list[Process] = []
         self.tcp: Any = None
         """What connects processes (tcp.py)."""
@@ -81,7 +82,6 @@ class VirtualLoop(asyncio.AbstractEventLoop):
     def process(self, name: str) -> Process:
         """A new process."""
         made = Process(name)
-        self._processes = [p for p in self._processes if p.alive] + [made]
         self._everybody.append(made)
         return made
 
@@ -98,12 +98,14 @@ class VirtualLoop(asyncio.AbstractEventLoop):
         """One callback of one process, or else the passing of time."""
         self.steps += 1
         self._asked = 0
-        ready = [p for p in self._processes if p.ready and p.alive and not p.stalled]
+        ready = [p for p in self._runnable if p.alive and not p.stalled]
         if not ready:
             self._advance()
             return
         process = ready[0] if len(ready) == 1 else ready[int(self._choices.random() * len(ready))]
         handle = process.ready.popleft()
+        if not process.ready:
+            self._runnable.remove(process)
         if not handle.cancelled():
             handle._run()
 
@@ -118,6 +120,8 @@ class VirtualLoop(asyncio.AbstractEventLoop):
     def _ready(self, handle: asyncio.Handle) -> None:
         process = handle._context.get(_process)  # type: ignore[attr-defined]
         assert process is not None, "everything that runs belongs to a process"
+        if not process.ready:
+            self._runnable.append(process)
         process.ready.append(handle)
 
     def run(self, going_on: Callable[[], bool]) -> None:
@@ -136,8 +140,7 @@ class VirtualLoop(asyncio.AbstractEventLoop):
             for task in process.tasks:
                 task.cancel()
         self._timers.clear()
-        self._processes = self._everybody
-        self.run(lambda: any(process.ready for process in self._everybody))
+        self.run(lambda: bool(self._runnable))
 
     # -- for asyncio ------------------------------------------------------------------------------------------------
 

@@ -57,6 +57,8 @@ class Interner:
 
     def _same(self, value: Any) -> Any:
         key: tuple[Any, ...]
+        if type(value) is str:
+            return sys.intern(value)
         # The id of a part identifies its whole content: the part is kept as long as the entry that contains it.
         if isinstance(value, dict):
             value = {sys.intern(name): self._same(part) for name, part in value.items()}
