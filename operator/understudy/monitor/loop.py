@@ -90,9 +90,12 @@ class MonitorLoop:
     async def run(self) -> None:
         """Watch and recover until cancelled."""
         self._new_until = time.monotonic() + SETTLE
-        await self.resume()
+        async with self.judge.sole_driver.during(self._pods):
+            await self.resume()
         while True:
-            await self.carry_through(await self._watch())
+            resolution = await self._watch()
+            async with self.judge.sole_driver.during(self._pods):
+                await self.carry_through(resolution)
 
     # -- observe, judge, decide -------------------------------------------------------------------------------------
 

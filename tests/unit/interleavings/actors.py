@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import random
 from collections.abc import Callable, Iterator, Mapping
+from datetime import datetime
 from pathlib import Path
 from typing import Any, cast
 
@@ -12,6 +13,7 @@ import aiohttp
 
 from tests.unit.interleavings.apiserver import ApiServer
 from tests.unit.interleavings.blanks import BlackBox, Keeping, RobotReaders
+from tests.unit.interleavings.drivers import Says
 from tests.unit.interleavings.network import Network, SimulatedClient
 from tests.unit.interleavings.robots import Robots
 from tests.unit.interleavings.scheduling import Killed, Process
@@ -107,6 +109,39 @@ class Monitor:
         self.current = CurrentRecovery()
         self._view: ClusterView | None = None
         self.notices: Notices | None = None
+        self.hindered_at = self.cut_off_at = self.recovered_at = robots.now
+        """When something last kept it from noticing what its robot hears, and from acting, and when it was last in a recovery; Unix seconds."""
+
+    def note_hindrance(self) -> None:
+        """Note whether something keeps it from noticing what its robot hears, or from acting."""
+        now, network, process = self._robots.now, self._network, self.process
+        if process.stalled or self.notices is None:
+            self.hindered_at = self.cut_off_at = now
+        elif process in network.cut_off or process in network.denied or network.weather.slow:
+            self.cut_off_at = now
+        if self.current.progress is not None:
+            self.recovered_at = now
+
+    def says(self) -> Says | None:
+        """What it says of its robot; None while it has just begun."""
+        if self.notices is None:
+            return None
+        status = self.notices.status
+        sole = next((c["status"] for c in status.to_wire()["conditions"] if c["type"] == "SoleDriver"), "Unknown")
+        recovered = {
+            one.id: datetime.fromisoformat(one.moments.verified).timestamp()
+            for one in status.recoveries
+            if one.result == "Recovered" and one.moments.verified is not None
+        }
+        return Says(
+            str(self.process),
+            status.health,
+            sole,
+            self.recovered_at,
+            self.hindered_at,
+            self.cut_off_at,
+            recovered,
+        )
 
     def _make_agents(self, client: Client, view: ClusterView, roles: InstanceRoles) -> AgentConnections:
         return AgentConnections(client, view, self.workload, self.fuse, roles, self.wakeups)

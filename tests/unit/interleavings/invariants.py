@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterator, Sequence
 
 from tests.unit.interleavings.apiserver import ApiServer
 from tests.unit.interleavings.commands import Commands
+from tests.unit.interleavings.drivers import Drivers
+from tests.unit.interleavings.pods import Running
 from tests.unit.interleavings.robots import Robots
 from tests.unit.interleavings.senses import GAP
 from understudy.api import names
@@ -45,6 +47,7 @@ class Invariants:
         """Pods that failed for good while they were in control, and when."""
         self.commits = self.claims = self.creations = 0
         self.commands = Commands(lambda: robots.now, broken)
+        self.drivers = Drivers(lambda: robots.now, broken, self._heard)
         for (_, name), gate in server.items["networkpolicies"].items():
             if name.endswith("-gate"):
                 self.commands.see(name.removesuffix("-gate"), GateRecord.of(gate))
@@ -161,10 +164,15 @@ class Invariants:
     # -- whenever what reaches a robot changes ----------------------------------------------------------------------
 
     def routed(self, robot: str) -> None:
-        """No two pods reach a robot at once, but for what is left of one whose object is gone: no gate can hold that back."""
-        found = [r for r in self._robots.running.values() if r.robot == robot and r.through and r.exists]
-        if len(found) > 1:
+        """No two pods reach a robot at once, but for what is left of one whose object is gone, and for nodes that enforce old gates."""
+        self.drivers.routed(robot)
+        found = [r for r in self._heard(robot) if r.exists]
+        if len(found) > 1 and not any(self._robots.nodes.is_late(r.node) for r in found):
             self._broken(f"{robot} is driven by {' and '.join(r.name for r in found)} at once")
+
+    def _heard(self, robot: str) -> list[Running]:
+        """The instances that a robot hears."""
+        return [r for r in self._robots.running.values() if r.robot == robot and r.through]
 
     def started(self, workload: str, uid: str, place: tuple[str, str]) -> None:
         """A monitor starts the processes of a pod: it must be the monitor's own."""

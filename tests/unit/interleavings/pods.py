@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 from tests.unit.interleavings.apiserver import Place
 from understudy.agent.agent_memory import AgentMemory
+
+PERIOD = 0.05
+"""Seconds between two samples of an application."""
+
+_MOMENT = 1e-6
+"""Seconds within which two times are the same."""
 
 REFERRED = "of"
 """Label of pods that a Deployment or StatefulSet makes, with the workload that refers to it: they have none of ours at first."""
@@ -37,7 +44,12 @@ class Running:
     through: bool = False
     """Whether what it sends reaches the robot."""
     through_since: float = -1.0
-    through_last: float = -1.0
+    phase: float = 0.0
+    """When it sends, of each period."""
+    period: float = PERIOD
+    """Seconds between two of its samples."""
+    heard_last: float = -1.0
+    """When its last sample arrived, before those that arrive now."""
     routed_at: float | None = None
     restarts: int = 0
     brought: str = ""
@@ -57,6 +69,25 @@ class Running:
     def stands_by(self) -> bool:
         """Whether it is as far as a standby has to be: it may have to be activated before it sends."""
         return self.sends or (self.up and self.brought.startswith("init:") and not self.broken)
+
+
+    def first_arrival(self, since: float, now: float) -> float | None:
+        """When a sample of it first arrived at or after a time; of earlier ones only the last is known."""
+        if self.heard_last >= since:
+            return self.heard_last
+        first = self.next_sample(max(since, self.through_since))
+        return first if self.through and first <= now + _MOMENT else None
+
+    def last_arrival(self, now: float) -> float | None:
+        """When its last sample arrived; None if none did."""
+        last = self.phase + math.floor((now - self.phase + _MOMENT) / self.period) * self.period
+        if self.through and last >= self.through_since - _MOMENT:
+            return last
+        return self.heard_last if self.heard_last >= 0 else None
+
+    def next_sample(self, since: float) -> float:
+        """When it sends at or after a time."""
+        return self.phase + math.ceil((since - self.phase - _MOMENT) / self.period) * self.period
 
 
 @dataclass

@@ -147,7 +147,7 @@ class ReflexRobots(Robots):
         self.cuts[node], self.cut_at[node] = parties, self.now
         for found in [r for r in self.running.values() if r.node == node and not r.ended]:
             self._ask(found)
-        self._reroute()
+        self.reroute()
 
     def join(self, node: str) -> None:
         """A node reaches everybody again. What it knows is old for a while yet."""
@@ -161,13 +161,9 @@ class ReflexRobots(Robots):
             self.later(self.between(0.1, TOLD_AGAIN - 0.05), self._catch_up, node)
             for work in self._put_off.pop(node, []):
                 self.later(self.between(0.02, 0.4), work)
-        self._reroute()
+        self.reroute()
         for found in [r for r in self.running.values() if r.node == node]:
             self.agent_reported(found.robot)
-
-    def _reroute(self) -> None:
-        for robot in sorted({found.robot for found in self.running.values() if found.robot}):
-            self.route(robot)
 
     def _ask(self, found: Running) -> None:
         """Its agent's fence has something to do. Until now everybody has answered it."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, cast
 
@@ -11,7 +11,6 @@ from tests.unit.interleavings.actors import Monitor
 from tests.unit.interleavings.ownership import PERIOD, Reader
 from tests.unit.interleavings.pods import Running
 from tests.unit.interleavings.reflexrobots import ReflexRobots
-from tests.unit.interleavings.robots import Robots
 from tests.unit.interleavings.scheduling import Process
 from tests.unit.interleavings.senses import GAP, AgentConnections, HealthObserver, Outputs, Probes
 from understudy.agent.control_channel import Peer
@@ -21,6 +20,7 @@ from understudy.kube.agent_client import AgentGone
 from understudy.monitor.act.gate.permits import Permits
 from understudy.monitor.loop import Parts
 from understudy.monitor.observe.agent_connections import ANSWER_LATE
+from understudy.monitor.observe.robot.known_senders import KnownSender, OutputSender
 from understudy.ros.runtime.graph_node import Endpoint, Graph
 
 
@@ -30,6 +30,16 @@ class ReflexSight(HealthObserver):
     def __init__(self, robots: ReflexRobots, workload: str, looked: Callable[[], None], reader: Reader) -> None:
         super().__init__(robots, workload, looked)
         self._reader = reader
+
+    def _named(self, name: str) -> Running | None:
+        found = [r for r in self._robots.running.values() if r.name == name and r.robot == self._workload]
+        return found[-1] if found else None
+
+    def known_senders(self) -> Sequence[KnownSender]:
+        return ()
+
+    def output_senders(self) -> Sequence[OutputSender]:
+        return ()
 
     def _last(self, found: Running | None) -> float | None:
         return self._reader.last(found.uid) if found is not None else None
@@ -42,14 +52,14 @@ class ReflexSight(HealthObserver):
         return False
 
     def outputs(self, fleet: Any, gate: Any) -> Outputs:
-        return ReflexOutputs(self._robots, self._workload, self._reader)
+        return ReflexOutputs(self, self._reader, fleet, gate)
 
 
 class ReflexOutputs(Outputs):
     """What the failover protocol sees of it."""
 
-    def __init__(self, robots: Robots, workload: str, reader: Reader) -> None:
-        super().__init__(robots, workload)
+    def __init__(self, observer: ReflexSight, reader: Reader, fleet: Any, gate: Any) -> None:
+        super().__init__(observer, observer._robots, observer._workload, fleet, gate)
         self._reader = reader
 
     async def first_from(self, instance: Instance, *, since: float) -> float | None:
@@ -65,6 +75,9 @@ class ReflexOutputs(Outputs):
         others = [r for r in self._robots.running.values() if r.robot == self._workload and r.uid != uid]
         lasts = [(last, r.name) for r in others if (last := self._reader.last(r.uid)) is not None]
         return max(lasts, default=(0.0, ""))
+
+    def period_of_others(self, instance: Instance) -> float:
+        return 0.0
 
 
 class ReflexProbes(Probes):
@@ -84,6 +97,9 @@ class ReflexProbes(Probes):
 
     def last(self, uid: str) -> float | None:
         return super().last(uid) if self._reached(uid) else None
+
+    def heard_since(self, time: float) -> Sequence[str]:
+        return ()
 
 
 class ReflexSidecars(AgentConnections):

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import random
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from tests.unit.interleavings.apiserver import EPOCH, ApiServer, Place, stamp
 from tests.unit.interleavings.network import Network
+from tests.unit.interleavings.nodes import Nodes
 from tests.unit.interleavings.pod_agents import Commanded, PodAgent
 from tests.unit.interleavings.pods import REFERRED, Luck, Running
 from tests.unit.interleavings.scheduling import Process, VirtualLoop
@@ -37,6 +39,7 @@ class Robots:
     """By workload, the instances that the network lets through by now."""
     activated: bool = False
     """Whether an application sends only once a procedure has brought it to driving."""
+    nodes: Nodes = field(default_factory=Nodes)
     changed: Callable[[str], None] = lambda robot: None
     """Called when what reaches a robot has changed."""
     noted: Callable[[str], None] = lambda text: None
@@ -164,7 +167,7 @@ class Robots:
     def status(self, uid: str, phase: str, ready: bool, reason: str = "") -> None:
         """The kubelet says how a pod is."""
         found = self.running.get(uid)
-        if found is None or not found.exists:
+        if found is None or not found.exists or self._put_off(uid, self.status, uid, phase, ready, reason):
             return
 
         def change(pod: Object) -> Object:
@@ -205,6 +208,7 @@ class Robots:
             broken=self.choices.random() < self.luck.broken,
             owner=labels.get(names.WORKLOAD, ""),
             secret=_secret(pod),
+            phase=self.choices.random(),
         )
         self.running[uid] = found
         slow = self.choices.random() < self.luck.slow
@@ -216,7 +220,12 @@ class Robots:
         terms = apart.get("requiredDuringSchedulingIgnoredDuringExecution") or []
         others = {term["labelSelector"]["matchLabels"][names.INSTANCE] for term in terms}
         taken = {found.node for found in self.running.values() if found.exists and found.name in others}
-        return [node for node in self.places() if node not in taken]
+        return [node for node in self.places() if node not in taken and not self.nodes.is_forgotten(node)]
+
+    def _put_off(self, uid: str, work: Callable[..., None], *args: object) -> bool:
+        """Whether a pod's kubelet does something only once the API server has its node again."""
+        found = self.running.get(uid)
+        return found is not None and self.nodes.put_off(found.node, functools.partial(work, *args))
 
     def _up(self, uid: str) -> None:
         found = self.running.get(uid)
@@ -312,7 +321,7 @@ class Robots:
     def _end(self, uid: str) -> None:
         """A pod's processes end; what is left of its object goes a moment later."""
         found = self.running.get(uid)
-        if found is None:
+        if found is None or self._put_off(uid, self._end, uid):
             return
         found.ended, found.up, found.sends = True, False, False
         self.end_agent(uid)
@@ -333,6 +342,21 @@ class Robots:
         if found is not None:
             found.broken = True
             self._silence(found)
+
+    def pause(self, uid: str) -> None:
+        """Its application sends nothing for a while, and goes on as if nothing had been."""
+        found = self.running.get(uid)
+        if found is not None and found.sends:
+            self._silence(found)
+            self.later(self.between(0.6, 6.0), self._go_on, uid)
+
+    def _go_on(self, uid: str) -> None:
+        found = self.running.get(uid)
+        if found is not None and not (found.broken or found.ended or found.sends) and found.up:
+            self.noted(f"pod {found.name}: goes on")
+            found.sends, found.sends_since = True, self.now
+            self.route(found.robot)
+            self.look(uid)
 
     def crash(self, uid: str) -> None:
         """A container of it ends and is started again, or ends again and again."""
@@ -359,7 +383,7 @@ class Robots:
     def heartbeat(self, uid: str) -> None:
         """The kubelet writes something that doesn't matter: versions grow."""
         found = self.running.get(uid)
-        if found is None:
+        if found is None or self._put_off(uid, self.heartbeat, uid):
             return
         beat = {"type": "ContainersReady", "status": "True", "lastProbeTime": f"{self.loop.time():.3f}"}
 
@@ -380,7 +404,35 @@ class Robots:
             self.later(3.0, self.status, found.uid, "Running", False)
             self.later(6.0, self._evict, found.uid)
 
-    def _evict(self, uid: str) -> None:
+    def forget(self, node: str, *, deletes: bool) -> None:
+        """The API server loses a node whose pods live on. Kubernetes evicts them; ``deletes``: somebody deletes their objects."""
+        self.nodes.forget(node)
+        for found in [f for f in self.running.values() if f.node == node and not f.ended]:
+            self.later(6.0, self._evict_lost, found.uid, deletes)
+
+    def _evict_lost(self, uid: str, deletes: bool) -> None:
+        found = self.running[uid]
+        if not self.nodes.is_forgotten(found.node) or not found.exists:
+            return
+        self._evict(uid, deletes=deletes)
+
+    def recall(self, node: str) -> None:
+        """The API server has a node again."""
+        for work in self.nodes.recall(node):
+            self.later(self.between(0.02, 0.4), work)
+        self.reroute()
+
+    def heal(self, node: str) -> None:
+        """A node's network enforces all gates as they are now."""
+        self.nodes.heal(node)
+        self.reroute()
+
+    def reroute(self) -> None:
+        """What reaches any robot may be something else now."""
+        for robot in sorted({found.robot for found in self.running.values() if found.robot}):
+            self.route(robot)
+
+    def _evict(self, uid: str, *, deletes: bool = True) -> None:
         found = self.running[uid]
 
         def change(pod: Object) -> Object:
@@ -392,7 +444,8 @@ class Robots:
             return {**pod, "metadata": metadata, "status": status}
 
         self.server.update("pods", found.place, change, BY)
-        self.later(4.0, self._forget, uid)
+        if deletes:
+            self.later(4.0, self._forget, uid)
 
     def drain(self, node: str) -> None:
         """A node's pods are evicted, in order."""
@@ -408,7 +461,14 @@ class Robots:
         policy = next(
             (p for (_, n), p in self.server.items["networkpolicies"].items() if n == names.gate(workload)), None
         )
+        before = self.let_through.get(workload, ())
         self.let_through[workload] = GATE.let_through(policy) if policy is not None else ()
+        for node, lag in self.nodes.changes(workload, before).items():
+            self.later(lag, self._catch_up_late, node, workload)
+        self.route(workload)
+
+    def _catch_up_late(self, node: str, workload: str) -> None:
+        self.nodes.catch_up(node, workload)
         self.route(workload)
 
     def route(self, robot: str) -> None:
@@ -428,8 +488,9 @@ class Robots:
             through = found.sends and routed
             if through and not found.through:
                 found.through_since = self.now
+                self.later(found.next_sample(self.now) - self.now, self._tell, robot)
             elif found.through and not through:
-                found.through_last = self.now
+                found.heard_last = found.last_arrival(self.now) or -1.0
             found.through = through
 
     def _tell(self, robot: str) -> None:
@@ -444,6 +505,7 @@ class Robots:
             return found.sends  # no policy holds back what isn't there
         pod = self.server.get("pods", found.place)
         labels = _labels(pod) if pod is not None else {}
+        allowed = self.nodes.let_through(found.node, robot, allowed)
         return labels.get(names.WORKLOAD) == robot and labels.get(names.INSTANCE) in allowed
 
     async def wait(self, robot: str) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from tests.unit.interleavings.pods import Running
@@ -15,7 +15,7 @@ from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotVerified
 from understudy.failover.pinned import PinnedPod
 from understudy.kube.gates.base import Proof
-from understudy.monitor.observe.robot.known_senders import KnownSender, OutputSender
+from understudy.monitor.observe.robot.known_senders import REMEMBERED, KnownSender, KnownSenders, OutputSender, host_at
 from understudy.trees.core.health_tree import Verdict
 
 GAP = 0.5
@@ -29,9 +29,12 @@ HEARD_WITHIN = 1.0
 
 TOPIC = "/cmd_vel"
 
+RECENT = 2.0
+"""Seconds for which a monitor knows the rate of a sender."""
+
 
 class HealthObserver:
-    """What arrives at the gated readers of one robot."""
+    """The samples that arrive at the gated readers of one robot. They are known by the addresses of their senders."""
 
     graph = None
     coming = None
@@ -45,22 +48,26 @@ class HealthObserver:
         self._robots, self._workload, self._looked = robots, workload, looked
         self._active = ""
         self._expected_since = self._expected_by = -math.inf
+        self._senders = KnownSenders()
+
+    def _at(self, ip: str) -> Running | None:
+        """Who sends from an address."""
+        return next((r for r in self._robots.running.values() if r.ip == ip and r.robot == self._workload), None)
 
     def _named(self, name: str) -> Running | None:
-        found = [r for r in self._robots.running.values() if r.name == name and r.robot == self._workload]
-        return found[-1] if found else None
+        sender = self._senders.named().get(name)
+        return self._at(sender.ip) if sender is not None and sender.attributed else None
 
     def follow(self, policy: Any, spec: Any) -> None:
         return
 
     def drain(self, instances: Sequence[Instance], active: str, pinned: Sequence[PinnedPod] = ()) -> None:
         self._active = active
+        self._senders.update(instances, pinned, lambda ip: self._last(self._at(ip)), self._robots.now)
         self._looked()
 
     def _last(self, found: Running | None) -> float | None:
-        if found is None or (not found.through and found.through_last < 0):
-            return None
-        return self._robots.now if found.through else found.through_last
+        return found.last_arrival(self._robots.now) if found is not None else None
 
     def last_from(self, pod: str) -> float | None:
         return self._last(self._named(pod))
@@ -95,19 +102,30 @@ class HealthObserver:
         return Verdict("Healthy", "", "", None)
 
     def deadline(self, *, now: float, since: float) -> float | None:
+        """None while samples arrive in time: the simulation wakes the monitor when that changes."""
         last = self._received_since(since)
         if last is None:
             return self._expected_by if self._expected_since == since else since + GRACE
-        return last + GAP if last < now else None
+        found = self._named(self._active)
+        return None if found is not None and found.through and found.period < GAP else last + GAP
 
     def outputs(self, fleet: Any, gate: Any) -> Outputs:
-        return Outputs(self._robots, self._workload)
+        return Outputs(self, self._robots, self._workload, fleet, gate)
 
     def known_senders(self) -> Sequence[KnownSender]:
-        return ()
+        return self._senders.all()
 
     def output_senders(self) -> Sequence[OutputSender]:
-        return ()
+        known = {sender.ip: sender for sender in self._senders.all()}
+        found: list[OutputSender] = []
+        for running in self._robots.running.values():
+            last = self._last(running) if running.robot == self._workload else None
+            if last is None or self._robots.now - last > REMEMBERED:
+                continue
+            sender = known.get(running.ip)
+            name, uid = (sender.name, sender.uid) if sender is not None else ("an unnamed node", "")
+            found.append(OutputSender(TOPIC, name, uid, (uid,) if uid else (), last, host_at(running.ip)))
+        return found
 
 
 class Outputs:
@@ -115,25 +133,39 @@ class Outputs:
 
     expected: Sequence[str] = (TOPIC,)
 
-    def __init__(self, robots: Robots, workload: str) -> None:
-        self._robots, self._workload = robots, workload
+    def __init__(self, observer: HealthObserver, robots: Robots, workload: str, fleet: Any, gate: Any) -> None:
+        self._observer, self._robots, self._workload = observer, robots, workload
+        self._fleet, self._gate = fleet, gate
+
+    def _drain(self) -> None:
+        state = self._gate.state
+        self._observer.drain(self._fleet.of_workload(), state.active, state.pinned)
 
     async def first_from(self, instance: Instance, *, since: float) -> float | None:
         while True:
-            found = self._robots.running.get(instance.uid)
-            if found is not None and found.through:
-                return max(since, found.through_since)
+            self._drain()
+            found = self._observer._named(instance.name)
+            first = found.first_arrival(since, self._robots.now) if found is not None else None
+            if first is not None:
+                return first
             await self._robots.wait(self._workload)
 
+    def _others(self, instance: Instance | None) -> Iterator[tuple[str, Running]]:
+        self._drain()
+        for name, sender in self._observer._senders.named().items():
+            found = self._observer._at(sender.ip) if sender.attributed else None
+            if found is not None and (instance is None or name != instance.name):
+                yield name, found
+
     def last_from_others(self, instance: Instance | None) -> tuple[float, str]:
-        uid = instance.uid if instance is not None else ""
-        others = [r for r in self._robots.running.values() if r.robot == self._workload and r.uid != uid]
-        lasts = [(self._robots.now if r.through else r.through_last, r.name) for r in others]
-        last, name = max(lasts, default=(0.0, ""))
-        return (last, name) if last > 0 else (0.0, "")
+        now = self._robots.now
+        found = [(last, name) for name, other in self._others(instance) if (last := other.last_arrival(now)) is not None]
+        return max(found, default=(0.0, ""))
 
     def period_of_others(self, instance: Instance) -> float:
-        return 0.0
+        now = self._robots.now
+        periods = [r.period for _, r in self._others(instance) if now - (r.last_arrival(now) or 0.0) < RECENT]
+        return max(periods, default=0.0)
 
 
 class Probes(Proof):
@@ -152,6 +184,10 @@ class Probes(Proof):
     def last(self, uid: str) -> float | None:
         found = self._robots.running.get(uid)
         return self._robots.now if found is not None and found.routed_at is not None else None
+
+    def heard_since(self, time: float) -> Sequence[str]:
+        found = self._robots.running.values()
+        return [r.uid for r in found if r.robot == self._workload and r.routed_at is not None]
 
 
 class AgentConnections:

@@ -59,6 +59,7 @@ class Simulation(Troubles):
 
     def _look(self, well: int, calm_since: float | None) -> None:
         """Once it's calm, see whether all is well, and stays so."""
+        self._look_at_drivers()
         if self._calm:
             calm_since = self.loop.time() if calm_since is None else calm_since
             unrest = [*self.invariants.unrest(), *self._mistaken()]
@@ -70,6 +71,14 @@ class Simulation(Troubles):
                 self._broken(f"after {CALM:.0f} s of calm: {'; '.join(unrest)}")
                 return
         self.later(LOOK, self._look, well, calm_since)
+
+    def _look_at_drivers(self) -> None:
+        """Compare what robots hear with what their monitors say."""
+        for monitor in self.monitors:
+            monitor.note_hindrance()
+        for workload in self.invariants.drivers.doubly:
+            says = [one for m in self.monitors if m.workload == workload and (one := m.says()) is not None]
+            self.invariants.drivers.look(workload, says)
 
     def _mistaken(self) -> Iterator[str]:
         """What processes take to be so, and isn't."""

@@ -25,8 +25,11 @@ from understudy.kube.client import Client, Object
 from understudy.kube.gates.base import GateRecord
 from understudy.kube.gates.kinds.network_policy import GATE
 from understudy.kube.leader_election import Lease
+from understudy.monitor.act.gate.leak_response import LeakResponse
 from understudy.monitor.act.instances.garbage_collection import GarbageCollection
 from understudy.monitor.act.recovery.abandonment import Abandonment
+from understudy.monitor.judge import sole_driver
+from understudy.monitor.judge.sole_driver import SoleDriver
 from understudy.monitor.observe import agent_connections
 from understudy.monitor.report.status_writer import StatusWriter
 
@@ -58,10 +61,13 @@ def _prepared() -> None:
         simulation.prepared(scene)
 
 
-def found(words: str, scene: Scene, *troubles: str, weather: float = 1.0, within: int = 100) -> Outcome:
-    """The first run of a scene, with only these troubles, in which something of these words doesn't hold."""
+def found(words: str, scene: Scene, *troubles: str, weather: float = 1.0, within: int = 100, first: int = 0) -> Outcome:
+    """The first run of a scene, with only these troubles, in which something of these words doesn't hold.
+
+    ``first`` is a seed that found it when it was written, so that the test takes no longer than it has to.
+    """
     only = replace(scene, troubles=troubles, weather=(weather,))
-    for seed in range(within):
+    for seed in range(first, first + within):
         outcome = simulation.run(seed, scene=only)
         if any(words in fault for fault in outcome.faults):
             return outcome
@@ -135,6 +141,27 @@ def test_the_deletion_of_a_claimed_pod_is_detected() -> None:
 def test_a_status_that_a_dead_monitor_overwrites_is_detected() -> None:
     with mock.patch.object(StatusWriter, "check"):
         assert found("than the status", EXECUTING, "monitor_is_replaced", "all_fail", weather=3.0)
+
+
+FALLS_BEHIND = ("node_is_forgotten", "node_is_deaf")
+
+
+def test_a_status_that_says_healthy_while_two_instances_drive_is_detected() -> None:
+    with mock.patch.object(SoleDriver, "track", return_value=False):
+        assert found("is Healthy, and", EXECUTING, *FALLS_BEHIND, weather=0.0)
+
+
+def test_a_second_driver_of_which_no_condition_says_anything_is_detected() -> None:
+    with (
+        mock.patch.object(sole_driver, "judge", return_value=("True", "NoOtherSender", "")),
+        mock.patch.object(LeakResponse, "respond", mock.AsyncMock(return_value=False)),
+    ):
+        assert found("says SoleDriver=True", EXECUTING, *FALLS_BEHIND, weather=0.0)
+
+
+def test_a_second_driver_that_nobody_ends_is_detected() -> None:
+    with mock.patch.object(LeakResponse, "respond", mock.AsyncMock(return_value=False)):
+        assert found("ends neither", EXECUTING, *FALLS_BEHIND, weather=0.0)
 
 
 def test_a_recovery_that_stays_at_the_gate_for_ever_is_detected() -> None:

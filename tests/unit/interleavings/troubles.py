@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 from tests.unit.interleavings import apiserver
@@ -46,6 +47,9 @@ TROUBLES = {
     "template_changes": 2,
     "something_is_deleted": 1,
     "node": 1,
+    "node_enforces_late": 2,
+    "node_is_deaf": 2,
+    "node_is_forgotten": 2,
 }
 """What goes wrong, and how often in comparison."""
 
@@ -71,7 +75,7 @@ class Troubles(SimulatedCluster):
         causes = self.causes
         troubles = {name: weight for name, weight in causes.items() if name in (self.scene.troubles or causes)}
         chosen = choices.choices(list(troubles), list(troubles.values()), k=choices.randint(2, 9))
-        if "monitor_is_replaced" in chosen and choices.random() < LONG:
+        if not {"monitor_is_replaced", "node_is_forgotten"}.isdisjoint(chosen) and choices.random() < LONG:
             lasts += LONGER * choices.random()
         self._lasts = self.loop.time() + lasts
         for name in chosen:
@@ -92,7 +96,12 @@ class Troubles(SimulatedCluster):
             if pod is not None and pod["metadata"]["uid"] == uid:
                 self.robots.delete(pod, by="somebody", force=how != "deleted")
         else:
-            {"freezes": self.robots.freeze, "crashes": self.robots.crash, "fails": self.robots.fail}[how](uid)
+            {
+                "freezes": self.robots.freeze,
+                "crashes": self.robots.crash,
+                "fails": self.robots.fail,
+                "stops for a while": self.robots.pause,
+            }[how](uid)
             if found.broken and uid in {self._active(workload) for workload in self.workloads}:
                 self.invariants.failed[uid] = self.robots.now
 
@@ -287,12 +296,48 @@ class Troubles(SimulatedCluster):
             self.note(f"node {node} is lost")
             self.robots.lose(node)
 
+    def _node_of(self, workload: str) -> str:
+        """The node of whom a gate lets through, or any."""
+        found = self.robots.running.get(self._active(workload))
+        return found.node if found is not None else self.choices.choice(NODES)
+
+    def _node_enforces_late(self) -> None:
+        node, lag = self._node_of(workload := self.choices.choice(self.workloads)), self.choices.choice([0.3, 1.5, 6.0])
+        self._falls_behind(node, lag, workload)
+
+    def _node_is_deaf(self) -> None:
+        """As when its policy agent has died: who was let through there stays so."""
+        self._falls_behind(self._node_of(workload := self.choices.choice(self.workloads)), math.inf, workload)
+
+    def _falls_behind(self, node: str, lag: float, workload: str) -> None:
+        if self.robots.nodes.is_late(node):
+            return
+        lasts = 4 + self.choices.random() * 20
+        self.note(f"node {node} enforces gates {lag} s late, for {lasts:.1f} s")
+        self.robots.nodes.lags[node] = lag
+        self.later(lasts, self.robots.heal, node)
+        self.later(self.choices.random() * 3, lambda: self._break(self._active(workload), "stops for a while"))
+
+    def _node_is_forgotten(self) -> None:
+        """Its pods live on. Mostly control goes elsewhere meanwhile."""
+        node = self._node_of(workload := self.choices.choice(self.workloads))
+        if any(self.robots.nodes.is_late(other) for other in NODES):
+            return
+        seconds, deletes = self.choices.choice([5, 12, 60]), self.choices.random() < 0.5
+        self.note(f"the API server loses node {node} for {seconds} s; its pods live on")
+        self.robots.forget(node, deletes=deletes)
+        self.later(seconds, self.robots.recall, node)
+        if self.choices.random() < 0.7:
+            self.later(self.choices.random() * 10, lambda: self._break(self._active(workload), "stops for a while"))
+
     def _end_of_trouble(self) -> None:
         self.note("from here on nothing goes wrong any more")
         self.network.weather, self.robots.luck = Weather(), Luck(slow=0.0)
         self.network.cut_off.clear()
         self.network.set_apart(list(self.network.apart), False)
         self.network.denied.clear()
+        for node in NODES:
+            self.robots.recall(node)
         for monitor in self.monitors:
             monitor.fuse.left = None
         # Of two monitors of one workload its Deployment ends the older one.

@@ -6,12 +6,14 @@ Instances whose pods are being deleted or are gone count too: their processes ma
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import AsyncIterator, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-from understudy.failover.interfaces import Gate, Instance
+from understudy.failover.interfaces import Gate, Instance, Instances
 from understudy.kube.gates.base import Proof
 from understudy.monitor.notices import ConditionReport, LeaksCounted, Notices
 from understudy.monitor.observe.robot.known_senders import KnownSender, OutputSender
@@ -170,7 +172,32 @@ class SoleDriver:
         """The UID of the instance for which the gate was closed because of a leak; empty if it was not."""
 
     def update(self, instances: Sequence[Instance], now: float) -> None:
-        """Take the signs up to now, at most every PERIOD seconds."""
+        """Take the signs up to now, and report what they mean."""
+        is_other = self.track(instances, now)
+        found = leaks(self._tracks, now)
+        if found != self.leaks:
+            self.leaks = found
+            self._notices.add(LeaksCounted(len(found)))
+            is_other = True
+        if is_other:
+            self.report(now)
+
+    @contextlib.asynccontextmanager
+    async def during(self, pods: Instances) -> AsyncIterator[None]:
+        """Take the signs during a recovery too, so that a leak in it is known as soon as it ends."""
+        tracking = asyncio.create_task(self._keep_tracking(pods))
+        try:
+            yield
+        finally:
+            tracking.cancel()
+
+    async def _keep_tracking(self, pods: Instances) -> None:
+        while True:
+            self.track(pods.of_workload(), time.time())
+            await asyncio.sleep(PERIOD)
+
+    def track(self, instances: Sequence[Instance], now: float) -> bool:
+        """Take the signs up to now, at most every PERIOD seconds. Returns whether the gate has changed."""
         state = self._gate.state
         through = frozenset(uid for uid in (state.active_uid, state.admitted_uid) if uid)
         is_other = through != self._through
@@ -181,18 +208,12 @@ class SoleDriver:
             known = {i.uid for i in instances} | {one.uid for one in self._outputs.known_senders()}
             self._fenced = {uid: at for uid, at in self._fenced.items() if uid not in through and uid in known}
         elif 0 <= now - self._updated < PERIOD:
-            return
+            return False
         self._updated = now
         self._fenced = {uid: min(at, now) for uid, at in self._fenced.items()}  # the clock may have been set back
         signs = self._signs(instances, now)
         self._tracks = tracked(self._tracks, signs, self._fenced, let_through=through, now=now)
-        found = leaks(self._tracks, now)
-        if found != self.leaks:
-            self.leaks = found
-            self._notices.add(LeaksCounted(len(found)))
-            is_other = True
-        if is_other:
-            self.report(now)
+        return is_other
 
     def _signs(self, instances: Sequence[Instance], now: float) -> list[Sign]:
         leaving = {i.uid for i in instances if i.terminating}

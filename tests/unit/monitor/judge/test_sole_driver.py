@@ -103,6 +103,18 @@ def test_a_fenced_instance_that_goes_on_sending_makes_the_condition_false_until_
     assert watched.condition[:2] == ("True", "NoOtherSender")
 
 
+def test_a_leak_during_a_recovery_is_known_as_soon_as_the_recovery_is_over() -> None:
+    watched = Watched()
+    for _ in range(10):
+        watched.now += PERIOD
+        watched.observer.heard = [OutputSender("/arm", "w-1", "uid-w-1", ("uid-w-1",), watched.now)]
+        watched.judged.track(watched.instances, watched.now)
+    assert not watched.judged.leaks
+    watched.update()
+    assert [leak.uid for leak in watched.judged.leaks] == ["uid-w-1"]
+    assert watched.condition[:2] == ("False", "SeveralDrivers")
+
+
 def test_probes_that_pass_the_gate_are_signs_whatever_kind_of_output_the_workload_has() -> None:
     watched = Watched()
     watched.listen(probes=True)
