@@ -110,7 +110,7 @@ class Monitor:
         self._view: ClusterView | None = None
         self.notices: Notices | None = None
         self.hindered_at = self.cut_off_at = self.recovered_at = robots.now
-        """When something last kept it from noticing what its robot hears, and from acting, and when it was last in a recovery; Unix seconds."""
+        """When (Unix seconds) something last kept it from noticing what its robot hears, and from acting; and its last recovery."""
 
     def note_hindrance(self) -> None:
         """Note whether something keeps it from noticing what its robot hears, or from acting."""

@@ -8,7 +8,10 @@ from dataclasses import dataclass
 from tests.unit.interleavings.pods import Running
 
 NOTICED = 4.0
-"""Seconds after which a monitor that goes on has noticed a second driver: it lasts for a second before it counts, and each second it looks."""
+"""Seconds after which a monitor has noticed a second driver: one counts after a second, and monitors look once a second."""
+
+JUST_NOW = 0.2
+"""Seconds after a sample of an instance in which its robot receives no safe command."""
 
 ENDED = 30.0
 """Seconds after which a second driver has ended or been fenced, if nothing prevents its monitor."""
@@ -45,8 +48,8 @@ class Drivers:
         self._clock, self._broken, self._heard = clock, broken, heard
         self._since: dict[str, float] = {}
         """By robot, since when there are two."""
-        self.doubled = 0
-        """Seconds for which robots had a second driver."""
+        self.doubled = self.safe_commands = 0
+        """Seconds for which robots had a second driver, and safe commands that robots received."""
 
     def routed(self, robot: str) -> None:
         """What a robot hears has changed."""
@@ -54,6 +57,15 @@ class Drivers:
             self._since.setdefault(robot, self._clock())
         else:
             self._since.pop(robot, None)
+
+    def commanded_safely(self, robot: str) -> None:
+        """A robot receives a safe command of its monitor."""
+        self.safe_commands += 1
+        now = self._clock()
+        for found in self._heard(robot):
+            last = found.last_arrival(now)
+            if last is not None and now - last < JUST_NOW:
+                self._broken(f"{robot} receives a safe command, and {found.name} drives it")
 
     @property
     def doubly(self) -> Sequence[str]:

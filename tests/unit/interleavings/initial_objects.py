@@ -17,6 +17,9 @@ def create(scene: Scene, server: ApiServer) -> None:
     for strategy in strategies:
         strategy["verifyWithin"] = "15s" if strategy["type"] == "Restart" else "5s"
     items[0]["spec"]["monitoring"]["startupGrace"] = "6s"
+    if scene.safely:
+        command = {"topic": "/cmd_vel", "message": {"linear": {"x": 0.0}}, "every": "250ms"}
+        items[0]["spec"]["safety"] = {"commands": [command]}
     if scene.spares:
         updates = {"updateStrategy": dict(scene.updates)} if scene.updates else {}
         pool = world.spare(replicas=scene.spares, **updates)

@@ -70,7 +70,6 @@ class Running:
         """Whether it is as far as a standby has to be: it may have to be activated before it sends."""
         return self.sends or (self.up and self.brought.startswith("init:") and not self.broken)
 
-
     def first_arrival(self, since: float, now: float) -> float | None:
         """When a sample of it first arrived at or after a time; of earlier ones only the last is known."""
         if self.heard_last >= since:

@@ -46,6 +46,8 @@ class Robots:
     agents_of: dict[str, PodAgent] = field(default_factory=dict)
     """The agents that run, by UID of their pods."""
     commanded: Commanded = lambda found, op, epoch, by: None
+    commanded_safely: Callable[[str], None] = lambda robot: None
+    """Called with each safe command that a robot receives."""
     started: Callable[[str, Running], None] = lambda workload, found: None
     """Called when a workload's monitor starts the held processes of a pod."""
     places: Callable[[], Sequence[str]] = lambda: NODES

@@ -31,6 +31,8 @@ class Scene:
     """All that goes wrong with processes and pods; everything, where nothing is named."""
     weather: tuple[float, ...] = (0.0, 0.5, 1.0, 2.0, 3.0)
     """How bad the network may be."""
+    safely: bool = False
+    """Whether robots receive safe commands while nobody drives."""
     reflex: str = ""
     """The deadline of the robots' readers; no reflex where it is empty."""
 
@@ -42,7 +44,7 @@ class Scene:
 SCENES = (
     Scene("shared", workloads=3, strategies=("spare", "Restart"), spares=2),
     Scene("scarce", workloads=2, strategies=("spare", "Restart"), spares=1),
-    Scene("executing", workloads=2, strategies=("hot", "Restart"), standbys=1),
+    Scene("executing", workloads=2, strategies=("hot", "Restart"), standbys=1, safely=True),
     Scene("initialized", workloads=2, strategies=("hot", "Restart"), standbys=1, initializes=True),
     Scene("referred", workloads=2, strategies=("hot", "spare", "Restart"), spares=1, standbys=1, refers="Deployment"),
     Scene(
@@ -53,6 +55,7 @@ SCENES = (
         standbys=1,
         initializes=True,
         activates=True,
+        safely=True,
     ),
     Scene("stateful", workloads=2, strategies=("hot", "Restart"), standbys=1, refers="StatefulSet"),
     Scene("both", workloads=2, strategies=("hot", "spare", "Restart"), spares=1, standbys=1),

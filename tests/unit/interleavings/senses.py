@@ -33,10 +33,23 @@ RECENT = 2.0
 """Seconds for which a monitor knows the rate of a sender."""
 
 
+class SafeCommander:
+    """A publisher of safe commands. Its graph is the observer of the robot that receives them."""
+
+    def __init__(self, observer: HealthObserver, topic: str, type_name: str, message: Mapping[str, Any]) -> None:
+        self._observer = observer
+
+    def publish(self) -> None:
+        """Send a safe command to the robot."""
+        self._observer.command_safely()
+
+    def close(self) -> None:
+        return
+
+
 class HealthObserver:
     """The samples that arrive at the gated readers of one robot. They are known by the addresses of their senders."""
 
-    graph = None
     coming = None
     problems: Sequence[str] = ()
     waiting: Sequence[str] = ()
@@ -49,6 +62,11 @@ class HealthObserver:
         self._active = ""
         self._expected_since = self._expected_by = -math.inf
         self._senders = KnownSenders()
+        self.graph = self
+
+    def command_safely(self) -> None:
+        """This monitor sends its robot a safe command."""
+        self._robots.commanded_safely(self._workload)
 
     def _at(self, ip: str) -> Running | None:
         """Who sends from an address."""
@@ -159,7 +177,9 @@ class Outputs:
 
     def last_from_others(self, instance: Instance | None) -> tuple[float, str]:
         now = self._robots.now
-        found = [(last, name) for name, other in self._others(instance) if (last := other.last_arrival(now)) is not None]
+        found = [
+            (last, name) for name, other in self._others(instance) if (last := other.last_arrival(now)) is not None
+        ]
         return max(found, default=(0.0, ""))
 
     def period_of_others(self, instance: Instance) -> float:

@@ -50,6 +50,7 @@ class SimulatedCluster:
         self.robots.started = lambda workload, found: self.invariants.started(workload, found.uid, found.place)
         self.invariants = self._make_invariants()
         self.robots.commanded = self.invariants.commands.carried_out
+        self.robots.commanded_safely = self.invariants.drivers.commanded_safely
         self.server.changed = self._written
         self.network.noted = self.robots.noted = self.note
         self.network.sending = self._sends

@@ -25,6 +25,7 @@ from understudy.kube.client import Client, Object
 from understudy.kube.gates.base import GateRecord
 from understudy.kube.gates.kinds.network_policy import GATE
 from understudy.kube.leader_election import Lease
+from understudy.monitor.act import safe_commands
 from understudy.monitor.act.gate.leak_response import LeakResponse
 from understudy.monitor.act.instances.garbage_collection import GarbageCollection
 from understudy.monitor.act.recovery.abandonment import Abandonment
@@ -162,6 +163,14 @@ def test_a_second_driver_of_which_no_condition_says_anything_is_detected() -> No
 def test_a_second_driver_that_nobody_ends_is_detected() -> None:
     with mock.patch.object(LeakResponse, "respond", mock.AsyncMock(return_value=False)):
         assert found("ends neither", EXECUTING, *FALLS_BEHIND, weather=0.0)
+
+
+def test_safe_commands_over_an_instance_that_drives_are_detected() -> None:
+    with (
+        mock.patch.object(safe_commands, "CLOSED", "committing"),
+        mock.patch.object(safe_commands, "HEARD_FOR", 0.0),
+    ):
+        assert found("receives a safe command", EXECUTING, "all_fail", "one_fails")
 
 
 def test_a_recovery_that_stays_at_the_gate_for_ever_is_detected() -> None:

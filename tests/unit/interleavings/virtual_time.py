@@ -13,6 +13,7 @@ from unittest import mock
 
 from tests.unit.interleavings.apiserver import EPOCH
 from tests.unit.interleavings.scheduling import current
+from tests.unit.interleavings.senses import SafeCommander
 from tests.unit.interleavings.simulated_cluster import SimulatedCluster
 from understudy.api import conditions
 from understudy.clock import CLOCK
@@ -21,6 +22,7 @@ from understudy.controller.reconcile import reconciler
 from understudy.failover import progress
 from understudy.kube import leader_election
 from understudy.monitor import loop as supervising
+from understudy.monitor.act import safe_commands
 
 TICK = 1.0
 """Seconds between a monitor's looks while nothing wakes it. The simulated senses wake it whenever what they say changes."""
@@ -65,6 +67,7 @@ def in_virtual_time(cluster: SimulatedCluster) -> Iterator[None]:
             (leader_election, "_now", lambda: f"{loop.time():.6f}"),
             (reconciler, "fresh", lambda: UniqueValues(name=cluster.next_name, token=lambda: "token")),
             (supervising, "TICK", TICK),
+            (safe_commands, "Commander", SafeCommander),
             *cluster.patches(),
         ):
             stack.enter_context(mock.patch.object(target, attribute, value))
