@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import random
 from collections.abc import Callable, Iterator, Mapping
-from datetime import datetime
 from pathlib import Path
 from typing import Any, cast
 
@@ -128,11 +127,6 @@ class Monitor:
             return None
         status = self.notices.status
         sole = next((c["status"] for c in status.to_wire()["conditions"] if c["type"] == "SoleDriver"), "Unknown")
-        recovered = {
-            one.id: datetime.fromisoformat(one.moments.verified).timestamp()
-            for one in status.recoveries
-            if one.result == "Recovered" and one.moments.verified is not None
-        }
         return Says(
             str(self.process),
             status.health,
@@ -140,7 +134,6 @@ class Monitor:
             self.recovered_at,
             self.hindered_at,
             self.cut_off_at,
-            recovered,
         )
 
     def _make_agents(self, client: Client, view: ClusterView, roles: InstanceRoles) -> AgentConnections:

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
 
 from tests.unit.interleavings.pods import Running
+from understudy.failover.protocol import PERIOD_MOST
 
 NOTICED = 4.0
 """Seconds after which a monitor has noticed a second driver: one counts after a second, and monitors look once a second."""
+
+BEFORE = 0.05
+"""Seconds besides a period of its samples for which another instance was heard before it counts that a recovery is verified."""
 
 JUST_NOW = 0.2
 """Seconds after a sample of an instance in which its robot receives no safe command."""
@@ -31,8 +38,16 @@ class Says:
     """Since when (Unix seconds) nothing has kept it from noticing."""
     acts_since: float
     """Since when (Unix seconds) it also reaches the API server."""
-    recovered: Mapping[str, float]
-    """By id, when recoveries that it recorded as Recovered were verified, in Unix seconds."""
+
+
+@dataclass
+class Drive:
+    """A time in which a robot heard an instance. Times are Unix seconds."""
+
+    name: str
+    period: float
+    since: float
+    until: float = math.inf
 
 
 class Drivers:
@@ -43,20 +58,49 @@ class Drivers:
         clock: Callable[[], float],
         broken: Callable[[str], None],
         heard: Callable[[str], Sequence[Running]],
+        ends: Callable[[Running], bool],
     ) -> None:
-        """``heard`` returns the instances that a robot hears now."""
-        self._clock, self._broken, self._heard = clock, broken, heard
+        """``heard`` returns the instances that a robot hears now; ``ends`` whether a cluster can end or fence one."""
+        self._clock, self._broken, self._heard, self._ends = clock, broken, heard, ends
         self._since: dict[str, float] = {}
         """By robot, since when there are two."""
+        self._drives: dict[str, dict[str, list[Drive]]] = {}
+        """By robot and UID."""
+        self._recorded: set[str] = set()
         self.doubled = self.safe_commands = 0
         """Seconds for which robots had a second driver, and safe commands that robots received."""
 
     def routed(self, robot: str) -> None:
         """What a robot hears has changed."""
-        if len(self._heard(robot)) > 1:
+        heard, drives = {found.uid: found for found in self._heard(robot)}, self._drives.setdefault(robot, {})
+        for uid, found in drives.items():
+            if uid not in heard:
+                found[-1].until = min(found[-1].until, self._clock())
+        for uid, one in heard.items():
+            known = drives.setdefault(uid, [])
+            if known and known[-1].period != one.period:
+                known[-1].until = min(known[-1].until, self._clock())
+            if not known or known[-1].until < math.inf:
+                known.append(Drive(one.name, one.period, self._clock()))
+        if len(heard) > 1:
             self._since.setdefault(robot, self._clock())
         else:
             self._since.pop(robot, None)
+
+    def recorded(self, robot: str, recovery: Mapping[str, Any], by: str) -> None:
+        """A recovery was recorded. While others are heard, it is not recorded as Recovered."""
+        if recovery["id"] in self._recorded or recovery["result"] != "Recovered":
+            return
+        self._recorded.add(recovery["id"])
+        verified = datetime.fromisoformat(recovery["moments"]["verified"]).timestamp()
+        for drive in (drive for drives in self._drives.get(robot, {}).values() for drive in drives):
+            if drive.name == recovery["toPod"] or drive.period > PERIOD_MOST:
+                continue
+            if drive.since <= verified - drive.period - BEFORE and drive.until > verified:
+                self._broken(
+                    f"{by} records recovery {recovery['id']} of {robot} as Recovered, and {drive.name} drives it too "
+                    f"since {verified - drive.since:.1f} s"
+                )
 
     def commanded_safely(self, robot: str) -> None:
         """A robot receives a safe command of its monitor."""
@@ -78,13 +122,11 @@ class Drivers:
         self.doubled += 1
         now, both = self._clock(), " and ".join(sorted(found.name for found in self._heard(robot)))
         for says in monitors:
-            lasts = now - max(since, says.unhindered_since)
+            lasts = now - max(since, says.unhindered_since) - 2 * max(found.period for found in self._heard(robot))
             if lasts >= NOTICED and says.health == "Healthy":
                 self._broken(f"{says.who} says that {robot} is Healthy, and {both} drive it for {lasts:.1f} s")
             if says.sole != "False" and min(lasts, now - says.recovered_at) >= NOTICED:
                 self._broken(f"{says.who} says SoleDriver={says.sole}, and {both} drive {robot} for {lasts:.1f} s")
-            for id_, verified in says.recovered.items():
-                if verified - max(since, says.unhindered_since) >= NOTICED:
-                    self._broken(f"{says.who} says that {robot} has recovered by {id_}, and {both} drive it")
-            if (acts := now - max(since, says.acts_since)) >= ENDED:
+            acts = now - max(since, says.acts_since)
+            if acts >= ENDED and any(self._ends(found) for found in self._heard(robot)):
                 self._broken(f"{both} drive {robot} for {acts:.1f} s, and {says.who} ends neither")

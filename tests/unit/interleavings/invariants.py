@@ -47,7 +47,9 @@ class Invariants:
         """Pods that failed for good while they were in control, and when."""
         self.commits = self.claims = self.creations = 0
         self.commands = Commands(lambda: robots.now, broken)
-        self.drivers = Drivers(lambda: robots.now, broken, self._heard)
+        self.drivers = Drivers(
+            lambda: robots.now, broken, self._heard, lambda found: not robots.nodes.is_forgotten(found.node)
+        )
         for (_, name), gate in server.items["networkpolicies"].items():
             if name.endswith("-gate"):
                 self.commands.see(name.removesuffix("-gate"), GateRecord.of(gate))
@@ -62,6 +64,9 @@ class Invariants:
                 self._created(new, by)
             if by.startswith("operator") and old is not None and _claimed(old) and _deleted(old, new):
                 self._broken(f"{by} deleted {_name(old)}, which is claimed")
+        elif plural == "robotworkloads" and new is not None:
+            for recovery in (new.get("status") or {}).get("recoveries") or []:
+                self.drivers.recorded(_name(new), recovery, by)
         elif plural == "fallbackpools" and new is not None and old is not None:
             sizes = self._sizes.setdefault(_name(new), [(self._robots.now, _size(old))])
             sizes += [(self._robots.now, _size(old)), (self._robots.now, _size(new))]

@@ -12,7 +12,7 @@ class Nodes:
     """The nodes that are not up to date."""
 
     lags: dict[str, float] = field(default_factory=dict)
-    """By node, the seconds by which its network enforces gates late; infinite for one that enforces no change."""
+    """By node, how many seconds late its network enforces gates; infinite if it enforces no change."""
     _behind: dict[tuple[str, str], tuple[str, ...]] = field(default_factory=dict)
     """By node and workload, the instances that it lets through although the gate has changed."""
     _put_off: dict[str, list[Callable[[], None]]] = field(default_factory=dict)

@@ -352,6 +352,14 @@ class Robots:
             self._silence(found)
             self.later(self.between(0.6, 6.0), self._go_on, uid)
 
+    def slow_down(self, uid: str) -> None:
+        """Its application sends less often from now on: it has failed, and goes on sending."""
+        found = self.running.get(uid)
+        if found is not None and not found.ended:
+            found.heard_last = found.last_arrival(self.now) or -1.0
+            found.period, found.through_since = self.choices.choice([0.3, 0.7, 1.6]), self.now
+            self.route(found.robot)
+
     def _go_on(self, uid: str) -> None:
         found = self.running.get(uid)
         if found is not None and not (found.broken or found.ended or found.sends) and found.up:

@@ -20,6 +20,10 @@ from tests.unit.interleavings.scenes import SCENES, Outcome, Scene
 from understudy.agent.agent_memory import AgentMemory
 from understudy.controller.reconcile.executor import Executor
 from understudy.controller.reconcile.expectations import Expectations
+from understudy.failover import protocol
+from understudy.failover.interfaces import Instance
+from understudy.failover.progress import Progress
+from understudy.failover.strategies.base import StrategyContext
 from understudy.kube import apply, claims
 from understudy.kube.client import Client, Object
 from understudy.kube.gates.base import GateRecord
@@ -80,7 +84,7 @@ def test_commands_of_a_monitor_that_was_replaced_are_detected() -> None:
         mock.patch.object(AgentMemory, "outdated", return_value=None),
         mock.patch.object(agent_connections, "CONFIRMED_FOR", math.inf),
     ):
-        assert found("later it carries out", INITIALIZED, "monitor_is_replaced")
+        assert found("later it carries out", INITIALIZED, "monitor_is_replaced", first=59)
 
 
 def test_a_claim_without_its_precondition_is_detected() -> None:
@@ -150,6 +154,15 @@ FALLS_BEHIND = ("node_is_forgotten", "node_is_deaf")
 def test_a_status_that_says_healthy_while_two_instances_drive_is_detected() -> None:
     with mock.patch.object(SoleDriver, "track", return_value=False):
         assert found("is Healthy, and", EXECUTING, *FALLS_BEHIND, weather=0.0)
+
+
+def test_a_recovery_that_is_recorded_while_another_instance_drives_is_detected() -> None:
+    async def careless(target: Instance, progress: Progress, context: StrategyContext) -> None:
+        await asyncio.sleep(0.5)
+        progress.moments["verified"] = context.clock()
+
+    with mock.patch.object(protocol, "alone", careless):
+        assert found("as Recovered, and", EXECUTING, *FALLS_BEHIND, weather=0.0)
 
 
 def test_a_second_driver_of_which_no_condition_says_anything_is_detected() -> None:

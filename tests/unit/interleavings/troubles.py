@@ -54,6 +54,10 @@ TROUBLES = {
 """What goes wrong, and how often in comparison."""
 
 
+FAILURES = ("freezes", "crashes", "fails", "deleted", "deleted by force", "stops for a while", "slows down")
+"""How an instance fails. One that stops for a while goes on later, and one that slows down goes on sending."""
+
+
 class Troubles(SimulatedCluster):
     """A cluster in which something goes wrong for a while."""
 
@@ -101,13 +105,13 @@ class Troubles(SimulatedCluster):
                 "crashes": self.robots.crash,
                 "fails": self.robots.fail,
                 "stops for a while": self.robots.pause,
+                "slows down": self.robots.slow_down,
             }[how](uid)
             if found.broken and uid in {self._active(workload) for workload in self.workloads}:
                 self.invariants.failed[uid] = self.robots.now
 
     def _one_fails(self) -> None:
-        how = self.choices.choice(["freezes", "crashes", "fails", "deleted", "deleted by force"])
-        self._break(self._active(self.choices.choice(self.workloads)), how)
+        self._break(self._active(self.choices.choice(self.workloads)), self.choices.choice(FAILURES))
 
     def _all_fail(self) -> None:
         how = self.choices.choice(["freezes", "deleted"])
@@ -316,7 +320,9 @@ class Troubles(SimulatedCluster):
         self.note(f"node {node} enforces gates {lag} s late, for {lasts:.1f} s")
         self.robots.nodes.lags[node] = lag
         self.later(lasts, self.robots.heal, node)
-        self.later(self.choices.random() * 3, lambda: self._break(self._active(workload), "stops for a while"))
+        self.later(
+            self.choices.random() * 3, lambda: self._break(self._active(workload), self.choices.choice(FAILURES[-2:]))
+        )
 
     def _node_is_forgotten(self) -> None:
         """Its pods live on. Mostly control goes elsewhere meanwhile."""
@@ -328,7 +334,10 @@ class Troubles(SimulatedCluster):
         self.robots.forget(node, deletes=deletes)
         self.later(seconds, self.robots.recall, node)
         if self.choices.random() < 0.7:
-            self.later(self.choices.random() * 10, lambda: self._break(self._active(workload), "stops for a while"))
+            self.later(
+                self.choices.random() * 10,
+                lambda: self._break(self._active(workload), self.choices.choice(FAILURES[-2:])),
+            )
 
     def _end_of_trouble(self) -> None:
         self.note("from here on nothing goes wrong any more")
