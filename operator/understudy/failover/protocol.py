@@ -230,6 +230,7 @@ async def alone(target: Instance, progress: Progress, context: StrategyContext) 
                 "%s still reached the robot %.0f ms after the gate was closed to it: waiting for silence", pod, late
             )
             await _end(progress, context)
+            continue  # the pod may have gone on meanwhile
         quiet_from = max(fenced, last)
         if (left := quiet_from + silence - clock()) <= 0:
             break

@@ -36,6 +36,15 @@ async def test_a_fenced_pod_that_sends_slowly_past_the_gate_is_heard_before_the_
     assert done.moments["fenced"] >= began + 0.69, "the record says when it was really fenced"
 
 
+async def test_a_pod_that_is_heard_while_a_slow_api_server_deletes_it_is_not_silent() -> None:
+    store = protected(pool="hot")
+    world = World(store)
+    began, store.deletion_takes = world.clock(), 2 * SILENCE_MARGIN
+    store.leaks["w-1"] = Leak(0.02, began, until=began + 0.6)
+    done = await _recovered(store, world)
+    assert done.moments["verified"] >= began + 0.58 + SILENCE_MARGIN
+
+
 async def test_probes_of_a_fenced_pod_that_pass_are_a_leak_too() -> None:
     store = protected(pool="hot")
     world = World(store)

@@ -45,6 +45,8 @@ class Store:
     claims: dict[str, str] = field(default_factory=dict)
     started: set[str] = field(default_factory=set)
     deleted: list[str] = field(default_factory=list)
+    deletion_takes: float = 0.0
+    """Seconds until the API server answers."""
     gave_way: list[str] = field(default_factory=list)
     followed: set[str] = field(default_factory=set)
     """Pods whose agents a connection was asked for."""
@@ -233,6 +235,8 @@ class _Instances(_Part):
         self.world.effect()
         self.store.pods.pop(instance.name, None)
         self.store.deleted.append(instance.name)
+        if self.store.deletion_takes:
+            await asyncio.sleep(self.store.deletion_takes)
         self.world.effect()
 
     async def end(self, instance: Instance) -> None:
