@@ -140,10 +140,10 @@ class Monitor:
         return AgentConnections(client, view, self.workload, self.fuse, roles, self.wakeups)
 
     def _make_observer(self) -> HealthObserver:
-        return HealthObserver(self._robots, self.workload, self._look_at_gate)
+        return HealthObserver(self.process, self._robots, self.workload, self._look_at_gate)
 
     def _make_probes(self) -> Probes:
-        return Probes(self._robots, self.workload)
+        return Probes(self.process, self._robots, self.workload)
 
     def _beside(self, parts: Parts, group: asyncio.TaskGroup) -> None:
         """Have run beside the supervisor what else there is."""

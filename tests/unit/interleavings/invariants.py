@@ -26,6 +26,10 @@ KNOWN = 70.0
 """Seconds within which an operator knows of a pool's new size: two of its lists, and their longest waits."""
 
 
+STALE = 3.0
+"""Seconds for which an instance has been healthy again before it must not be fenced for a failure before that."""
+
+
 class Invariants:
     """Checks all invariants and reports violations."""
 
@@ -111,12 +115,31 @@ class Invariants:
                 self._broken(f"{_name(new)} went from epoch {before.epoch} to {after.epoch}")
             self.commits += changed
             at = self.failed.get(before.active_uid, 0.0)
+            if changed:
+                self._stale(before, after, _name(new))
             noticed = self._robots.now - at >= GAP or before.active_uid in after.recovery
             if before.active_uid != after.active_uid and not noticed:
                 del self.failed[before.active_uid]  # control went elsewhere before anybody could know
         routed = self._routed(_name(new).removesuffix("-gate"), through)
         if len(routed) > self.most_through:
             self._broken(f"{_name(new)} lets several through at once: {', '.join(routed)}")
+
+    def _stale(self, before: GateRecord, after: GateRecord, gate: str) -> None:
+        """No instance is fenced for a failure that is long over, unless the network had kept the request."""
+        found, recovery = self._robots.running.get(before.active_uid), recoveries.beside(after.recovery)
+        if found is None or before.active_uid == after.active_uid or recovery is None or recovery.planned:
+            return
+        well_since, network = max(found.well_since, found.through_since), self._robots.network
+        pod = self._server.get("pods", found.place)
+        is_well = (
+            found.through
+            and pod is not None
+            and not leaving(pod)
+            and well_since > recovery.moments.get("detected", 0.0)
+        )
+        lasts = self._robots.now - well_since
+        if is_well and lasts >= STALE and not network.weather.late and recovery.switchover is None:
+            self._broken(f"{gate} fences {found.name} for a failure, and it is healthy again for {lasts:.1f} s")
 
     def _named(self, record: GateRecord) -> tuple[str, ...]:
         """The instances that a gate names."""

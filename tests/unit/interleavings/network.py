@@ -18,6 +18,9 @@ from tests.unit.interleavings.tcp import Tcp
 from understudy.kube.api_contact import ApiContact
 from understudy.kube.client import TABLE, ApiError, Client, Expired, Object, Resource
 
+GIVEN_UP = 14.0
+"""Seconds after which the kernel ends a connection on which nothing is acknowledged: three keepalive probes of a client."""
+
 
 @dataclass
 class Weather:
@@ -83,6 +86,8 @@ class Network:
         """Processes of whose writes every second one is refused for good, as by an API server that knows only a part of their roles."""
         self._waiting: dict[str, list[asyncio.Future[None]]] = {}
         self.outcomes: dict[str, int] = {}
+        self.half_open: dict[tuple[Process, str], float] = {}
+        """Watches of processes over connections that are dead, by resource, and when the kernel gives such a connection up."""
 
     def client(self, process: Process, *, timeout: float = 10.0) -> SimulatedClient:
         """The client of a process."""
@@ -128,6 +133,11 @@ class Network:
     def later(self, seconds: float, work: Callable[..., None], *args: Any, process: Process | None = None) -> None:
         """Do something after so many seconds, in a process or in the world."""
         self.loop.call_later(seconds, work, *args, context=(process or self._world).context)
+
+    def fall_silent(self, process: Process, plural: str) -> None:
+        """The connection of a watch dies without a sign."""
+        self.half_open[process, plural] = self.loop.time() + GIVEN_UP
+        self.written(plural)
 
     def written(self, plural: str) -> None:
         """Wake the watches of a resource."""
@@ -252,8 +262,11 @@ class SimulatedClient(Client):
         chosen, history = selecting(labels, fields), network.server.history[plural]
         at = network.server.since(plural, int(version))
         while True:
-            while at == len(history):
+            while at == len(history) and (self._process, plural) not in network.half_open:
                 await network.wait(plural)
+            if (given_up := network.half_open.pop((self._process, plural), None)) is not None:
+                await asyncio.sleep(given_up - network.loop.time())
+                raise aiohttp.ClientOSError("timed out")
             last, lag = len(history), network.choices.random() < network.weather.lag
             await asyncio.sleep(network.delay() if not lag else network.choices.random() * 6)
             while self._process in network.cut_off:

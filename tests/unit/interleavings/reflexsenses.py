@@ -27,8 +27,15 @@ from understudy.ros.runtime.graph_node import Endpoint, Graph
 class ReflexSight(HealthObserver):
     """What a monitor's reader takes."""
 
-    def __init__(self, robots: ReflexRobots, workload: str, looked: Callable[[], None], reader: Reader) -> None:
-        super().__init__(robots, workload, looked)
+    def __init__(
+        self,
+        process: Process,
+        robots: ReflexRobots,
+        workload: str,
+        looked: Callable[[], None],
+        reader: Reader,
+    ) -> None:
+        super().__init__(process, robots, workload, looked)
         self._reader = reader
 
     def _named(self, name: str) -> Running | None:
@@ -178,10 +185,12 @@ class ReflexMonitor(Monitor):
         return self.agents
 
     def _make_observer(self) -> HealthObserver:
-        return ReflexSight(cast(ReflexRobots, self._robots), self.workload, self._look_at_gate, self.reader)
+        return ReflexSight(
+            self.process, cast(ReflexRobots, self._robots), self.workload, self._look_at_gate, self.reader
+        )
 
     def _make_probes(self) -> Probes:
-        return ReflexProbes(self._robots, self.workload)
+        return ReflexProbes(self.process, self._robots, self.workload)
 
     def _beside(self, parts: Parts, group: asyncio.TaskGroup) -> None:
         graph = cast(Graph, NoReaders())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import functools
+import math
 import random
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -357,6 +358,7 @@ class Robots:
         found = self.running.get(uid)
         if found is not None and not found.ended:
             found.heard_last = found.last_arrival(self.now) or -1.0
+            found.well_since = math.inf
             found.period, found.through_since = self.choices.choice([0.3, 0.7, 1.6]), self.now
             self.route(found.robot)
 
@@ -364,7 +366,8 @@ class Robots:
         found = self.running.get(uid)
         if found is not None and not (found.broken or found.ended or found.sends) and found.up:
             self.noted(f"pod {found.name}: goes on")
-            found.sends, found.sends_since = True, self.now
+            found.sends = True
+            found.sends_since = found.well_since = self.now
             self.route(found.robot)
             self.look(uid)
 
@@ -373,7 +376,7 @@ class Robots:
         found = self.running.get(uid)
         if found is None or found.ended:
             return
-        found.restarts, found.brought = found.restarts + 1, ""
+        found.restarts, found.brought, found.well_since = found.restarts + 1, "", math.inf
         found.broken = self.choices.random() < 0.4
         self._silence(found)
         self.status(uid, "Running", ready=False, reason="CrashLoopBackOff" if found.broken else "")

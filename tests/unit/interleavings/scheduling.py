@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextvars
 import heapq
+import math
 import random
 from asyncio import events
 from collections import deque
@@ -42,10 +43,16 @@ class Process:
         self.name = name
         self.alive = True
         self.stalled = False
+        self.clock_steps: list[tuple[float, float]] = [(-math.inf, 0.0)]
+        """From which time on its clock differs from the world's, by how many seconds."""
         self.ready: deque[asyncio.Handle] = deque()
         self.tasks: list[asyncio.Task[Any]] = []
         self.context = contextvars.copy_context()
         self.context.run(_process.set, self)
+
+    def stamp(self, moment: float) -> float:
+        """A time of the world, in Unix seconds, as its clock showed it."""
+        return moment + next(offset for since, offset in reversed(self.clock_steps) if since <= moment)
 
     def kill(self) -> None:
         """End it at once."""

@@ -9,6 +9,7 @@ from typing import Any
 
 from tests.unit.interleavings.pods import Running
 from tests.unit.interleavings.robots import Robots
+from tests.unit.interleavings.scheduling import Process
 from understudy.api.protocol.agent_messages import AgentStatus
 from understudy.api.protocol.kept_state import KeptState, RestoreReport
 from understudy.failover.bring_up import BringUp
@@ -56,9 +57,10 @@ class HealthObserver:
     summary = "Watching what reaches the robot."
     addresses: Mapping[str, str] = {}
 
-    def __init__(self, robots: Robots, workload: str, looked: Callable[[], None]) -> None:
-        """``looked`` is called with every look of the monitor."""
+    def __init__(self, process: Process, robots: Robots, workload: str, looked: Callable[[], None]) -> None:
+        """Times are those of the monitor's clock. ``looked`` is called with every look of the monitor."""
         self._robots, self._workload, self._looked = robots, workload, looked
+        self._stamp = process.stamp
         self._active = ""
         self._expected_since = self._expected_by = -math.inf
         self._senders = KnownSenders()
@@ -81,11 +83,23 @@ class HealthObserver:
 
     def drain(self, instances: Sequence[Instance], active: str, pinned: Sequence[PinnedPod] = ()) -> None:
         self._active = active
-        self._senders.update(instances, pinned, lambda ip: self._last(self._at(ip)), self._robots.now)
+        self._senders.update(instances, pinned, lambda ip: self._last(self._at(ip)), self.now)
         self._looked()
 
     def _last(self, found: Running | None) -> float | None:
-        return found.last_arrival(self._robots.now) if found is not None else None
+        last = found.last_arrival(self._robots.now) if found is not None else None
+        return self._stamp(last) if last is not None else None
+
+    @property
+    def now(self) -> float:
+        """The time."""
+        return self._stamp(self._robots.now)
+
+    def first(self, found: Running, since: float) -> float | None:
+        """When a sample of an instance first arrived at or after a time."""
+        now = self._robots.now
+        first = found.first_arrival(now - (self.now - since), now)
+        return self._stamp(first) if first is not None else None
 
     def last_from(self, pod: str) -> float | None:
         return self._last(self._named(pod))
@@ -94,7 +108,7 @@ class HealthObserver:
 
     def new_process(self, pod: str, *, since: float) -> bool:
         found = self._named(pod)
-        return found is None or found.up_at is None or found.up_at >= since
+        return found is None or found.up_at is None or self._stamp(found.up_at) >= since
 
     def processes(self, pod: str) -> frozenset[bytes]:
         return frozenset()
@@ -138,7 +152,7 @@ class HealthObserver:
         found: list[OutputSender] = []
         for running in self._robots.running.values():
             last = self._last(running) if running.robot == self._workload else None
-            if last is None or self._robots.now - last > REMEMBERED:
+            if last is None or self.now - last > REMEMBERED:
                 continue
             sender = known.get(running.ip)
             name, uid = (sender.name, sender.uid) if sender is not None else ("an unnamed node", "")
@@ -163,7 +177,7 @@ class Outputs:
         while True:
             self._drain()
             found = self._observer._named(instance.name)
-            first = found.first_arrival(since, self._robots.now) if found is not None else None
+            first = self._observer.first(found, since) if found is not None else None
             if first is not None:
                 return first
             await self._robots.wait(self._workload)
@@ -176,10 +190,8 @@ class Outputs:
                 yield name, found
 
     def last_from_others(self, instance: Instance | None) -> tuple[float, str]:
-        now = self._robots.now
-        found = [
-            (last, name) for name, other in self._others(instance) if (last := other.last_arrival(now)) is not None
-        ]
+        others, heard = self._others(instance), self._observer._last
+        found = [(last, name) for name, other in others if (last := heard(other)) is not None]
         return max(found, default=(0.0, ""))
 
     def period_of_others(self, instance: Instance) -> float:
@@ -191,19 +203,19 @@ class Outputs:
 class Probes(Proof):
     """What gets through the gate, whether the application sends or not."""
 
-    def __init__(self, robots: Robots, workload: str) -> None:
-        self._robots, self._workload = robots, workload
+    def __init__(self, process: Process, robots: Robots, workload: str) -> None:
+        self._robots, self._workload, self._stamp = robots, workload, process.stamp
 
     async def wait(self, uid: str, after: float, within: float | None = None) -> float:
         while True:
             found = self._robots.running.get(uid)
             if found is not None and found.routed_at is not None:
-                return max(after, found.routed_at)
+                return max(after, self._stamp(found.routed_at))
             await self._robots.wait(self._workload)
 
     def last(self, uid: str) -> float | None:
         found = self._robots.running.get(uid)
-        return self._robots.now if found is not None and found.routed_at is not None else None
+        return self._stamp(self._robots.now) if found is not None and found.routed_at is not None else None
 
     def heard_since(self, time: float) -> Sequence[str]:
         found = self._robots.running.values()

@@ -7,14 +7,16 @@ of them are ``scripts/bench interleavings``.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
+from collections.abc import AsyncIterator
 from dataclasses import replace
 from typing import Any
 from unittest import mock
 
 import pytest
 
-from tests.unit.interleavings import simulation
+from tests.unit.interleavings import network, simulation
 from tests.unit.interleavings.comparison import observed_alike, unconditional, without
 from tests.unit.interleavings.scenes import SCENES, Outcome, Scene
 from understudy.agent.agent_memory import AgentMemory
@@ -34,6 +36,7 @@ from understudy.monitor.act.gate.leak_response import LeakResponse
 from understudy.monitor.act.instances.garbage_collection import GarbageCollection
 from understudy.monitor.act.recovery.abandonment import Abandonment
 from understudy.monitor.judge import sole_driver
+from understudy.monitor.judge.reassessment import Reassessment
 from understudy.monitor.judge.sole_driver import SoleDriver
 from understudy.monitor.observe import agent_connections
 from understudy.monitor.report.status_writer import StatusWriter
@@ -165,17 +168,31 @@ def test_a_recovery_that_is_recorded_while_another_instance_drives_is_detected()
         assert found("as Recovered, and", EXECUTING, *FALLS_BEHIND, weather=0.0)
 
 
+def test_a_stale_decision_that_fences_a_healthy_instance_is_detected() -> None:
+    @contextlib.asynccontextmanager
+    async def never(self: Reassessment, progress: Progress) -> AsyncIterator[None]:
+        yield
+
+    with mock.patch.object(Reassessment, "during", never):
+        assert found("healthy again", EXECUTING, "decision_is_late", weather=0.0)
+
+
+def test_a_half_open_watch_that_is_never_given_up_is_detected() -> None:
+    with mock.patch.object(network, "GIVEN_UP", math.inf):
+        assert found("knows version", EXECUTING, "monitor_watch_is_half_open", "one_fails", weather=0.0)
+
+
 def test_a_second_driver_of_which_no_condition_says_anything_is_detected() -> None:
     with (
         mock.patch.object(sole_driver, "judge", return_value=("True", "NoOtherSender", "")),
         mock.patch.object(LeakResponse, "respond", mock.AsyncMock(return_value=False)),
     ):
-        assert found("says SoleDriver=True", EXECUTING, *FALLS_BEHIND, weather=0.0)
+        assert found("says SoleDriver=True", EXECUTING, *FALLS_BEHIND, weather=0.0, first=11)
 
 
 def test_a_second_driver_that_nobody_ends_is_detected() -> None:
     with mock.patch.object(LeakResponse, "respond", mock.AsyncMock(return_value=False)):
-        assert found("ends neither", EXECUTING, *FALLS_BEHIND, weather=0.0)
+        assert found("ends neither", EXECUTING, *FALLS_BEHIND, weather=0.0, first=26)
 
 
 def test_safe_commands_over_an_instance_that_drives_are_detected() -> None:

@@ -42,6 +42,9 @@ TROUBLES = {
     "agent_restarts": 2,
     "monitor_is_denied": 2,
     "watch_falls_silent": 2,
+    "decision_is_late": 1,
+    "monitor_watch_is_half_open": 2,
+    "clock_is_set": 1,
     "kubelets_write": 4,
     "pool_is_resized": 3,
     "template_changes": 2,
@@ -56,6 +59,13 @@ TROUBLES = {
 
 FAILURES = ("freezes", "crashes", "fails", "deleted", "deleted by force", "stops for a while", "slows down")
 """How an instance fails. One that stops for a while goes on later, and one that slows down goes on sending."""
+
+
+WATCHED = ("pods", "networkpolicies", "robotworkloads")
+"""What a monitor learns from watches that may be half-open."""
+
+STEPS = (-60.0, -5.0, -0.7, 0.7, 5.0, 60.0)
+"""Seconds by which a clock is set."""
 
 
 class Troubles(SimulatedCluster):
@@ -194,7 +204,8 @@ class Troubles(SimulatedCluster):
         if (process := self._anybody()) is None:
             return
         # An operator for so long that the other one takes over, and that one has yet to notice.
-        seconds = self.choices.random() * (8 if any(o.process is process for o in self.operators) else 3)
+        longest = 8 if any(o.process is process for o in self.operators) else self.choices.choice([3, 3, 20])
+        seconds = self.choices.random() * longest
         self.note(f"{process} gets no processor for {seconds:.1f} s")
         self._stalled.add(process)
         self.later(seconds + NOTICES, self._stalled.discard, process)
@@ -223,6 +234,29 @@ class Troubles(SimulatedCluster):
             plural = self.choices.choice(["pods", "networkpolicies", "robotworkloads", "fallbackpools"])
             self.note(f"{operator.process}: the watch of {plural} falls silent")
             operator.silent.add(plural)
+
+    def _decision_is_late(self) -> None:
+        """An instance stops for a while, and is well again before its monitor reaches the API server."""
+        if not self.monitors:
+            return
+        monitor, seconds = self.choices.choice(self.monitors), 6 + self.choices.random() * 12
+        self.note(f"{monitor.process} is cut off from the API server for {seconds:.1f} s")
+        self.network.cut_off.add(monitor.process)
+        self.later(seconds, self.network.cut_off.discard, monitor.process)
+        self.later(0.1, lambda: self._break(self._active(monitor.workload), "stops for a while"))
+
+    def _monitor_watch_is_half_open(self) -> None:
+        if self.monitors:
+            process, plural = self.choices.choice(self.monitors).process, self.choices.choice(WATCHED)
+            self.note(f"{process}: the watch of {plural} is half-open")
+            self.network.fall_silent(process, plural)
+
+    def _clock_is_set(self) -> None:
+        """The clock of a monitor's node is set forward or back."""
+        if self.monitors:
+            process, step = self.choices.choice(self.monitors).process, self.choices.choice(STEPS)
+            self.note(f"the clock of {process} is set by {step} s")
+            process.clock_steps.append((self.robots.now, process.clock_steps[-1][1] + step))
 
     def _somebody_asks(self) -> None:
         """For a switchover."""

@@ -49,13 +49,18 @@ class Clock:
     time: Callable[[], float]
 
 
+def _stamped(moment: float) -> float:
+    process = current()
+    return process.stamp(moment) if process is not None else moment
+
+
 @contextlib.contextmanager
 def in_virtual_time(cluster: SimulatedCluster) -> Iterator[None]:
     loop, choices = cluster.loop, cluster.choices
     with contextlib.ExitStack() as stack:
         stack.callback(CLOCK.restart)
         for target, attribute, value in (
-            (time, "time", lambda: EPOCH + loop.clock()),
+            (time, "time", lambda: _stamped(EPOCH + loop.clock())),
             (time, "monotonic", loop.clock),
             # Only there: trees have identifiers too, and are remembered from one run to the next.
             (progress, "uuid", Identifiers(lambda: uuid.UUID(int=choices.getrandbits(128)))),
