@@ -66,9 +66,11 @@ class Invariants:
             self._owners(old, new)
             if old is None and new is not None and by.startswith("operator"):
                 self._created(new, by)
+            if by.startswith("monitor") and old is not None and _deleted(old, new):
+                self._ended_by_monitor(old, by)
             if by.startswith("operator") and old is not None and _claimed(old) and _deleted(old, new):
                 self._broken(f"{by} deleted {_name(old)}, which is claimed")
-        elif plural == "robotworkloads" and new is not None:
+        elif plural == "robotworkloads" and new is not None and not self._robots.clocks_differ:
             for recovery in (new.get("status") or {}).get("recoveries") or []:
                 self.drivers.recorded(_name(new), recovery, by)
         elif plural == "fallbackpools" and new is not None and old is not None:
@@ -78,6 +80,13 @@ class Invariants:
             self._emptied[_name(new)] = math.inf if leaving_nodes.is_cordoned(new) else self._robots.now + KNOWN
         elif plural == "networkpolicies" and new is not None and _name(new).endswith("-gate"):
             self._gate(old, new)
+
+    def _ended_by_monitor(self, pod: Object, by: str) -> None:
+        """No understudy that never failed is deleted, except one that was claimed: it cannot be given back."""
+        found = self._robots.running.get(pod["metadata"]["uid"])
+        if found is None or found.harmed or not found.up or _claimed(pod) or names.SOURCE in _labels(pod):
+            return
+        self._broken(f"{by} deletes {found.name}, which has never failed")
 
     def _owners(self, old: Object | None, new: Object | None) -> None:
         """No pod has two owners, and a used understudy is never free again."""
@@ -114,12 +123,16 @@ class Invariants:
             if after.epoch != before.epoch + changed and (changed or after.epoch != before.epoch + 1):
                 self._broken(f"{_name(new)} went from epoch {before.epoch} to {after.epoch}")
             self.commits += changed
+            if (driver := self._robots.running.get(before.active_uid)) is not None:
+                driver.harmed = True  # what a fenced one did counts
             at = self.failed.get(before.active_uid, 0.0)
+            left = recoveries.beside(after.recovery)
+            leaks = not after.active_uid and (left is None or left.result != "Running")
             if changed:
                 self._stale(before, after, _name(new))
-            noticed = self._robots.now - at >= GAP or before.active_uid in after.recovery
+            noticed = not leaks and (self._robots.now - at >= GAP or before.active_uid in after.recovery)
             if before.active_uid != after.active_uid and not noticed:
-                del self.failed[before.active_uid]  # control went elsewhere before anybody could know
+                self.failed.pop(before.active_uid, None)  # control went elsewhere before anybody could know
         routed = self._routed(_name(new).removesuffix("-gate"), through)
         if len(routed) > self.most_through:
             self._broken(f"{_name(new)} lets several through at once: {', '.join(routed)}")
@@ -129,6 +142,10 @@ class Invariants:
         found, recovery = self._robots.running.get(before.active_uid), recoveries.beside(after.recovery)
         if found is None or before.active_uid == after.active_uid or recovery is None or recovery.planned:
             return
+        if self._robots.clocks_differ:
+            return
+        if [one.uid for one in recovery.failed] != [found.uid]:
+            return  # an understudy that was not verified in time is not judged again
         well_since, network = max(found.well_since, found.through_since), self._robots.network
         pod = self._server.get("pods", found.place)
         is_well = (

@@ -36,6 +36,7 @@ class Actions:
         choices = robots.choices
         self.report = RestoreReport()
         self._robots, self._fails = robots, choices.random() < robots.luck.failing
+        found.harmed |= self._fails
         self._error = choices.random() < 0.5
         self._there_at = robots.loop.time() + 0.05 + 0.1 * choices.random()
 

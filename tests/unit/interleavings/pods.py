@@ -44,6 +44,8 @@ class Running:
     through: bool = False
     """Whether what it sends reaches the robot."""
     through_since: float = -1.0
+    harmed: bool = False
+    """Whether it has failed in any way, or its node or agent has, or it was in control."""
     well_since: float = 0.0
     """Since when its application has been healthy and its process the same; infinite for one that was started again."""
     phase: float = 0.0

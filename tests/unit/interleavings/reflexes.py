@@ -50,11 +50,23 @@ SCENES = (
 )
 
 
+ELSEWHERE = frozenset(
+    {
+        "monitor_is_denied",
+        "node_enforces_late",
+        "node_is_deaf",
+        "node_is_forgotten",
+        "decision_is_late",
+        "clock_is_set",
+    }
+)
+"""What goes wrong only in runs without a reflex: nodes that are cut off, and an API server that refuses things, are among these already."""
+
+
 class Reflexive(Simulation):
     """A run with a reflex."""
 
-    # An API server that refuses things is among these already.
-    causes: Mapping[str, int] = {name: weight for name, weight in TROUBLES.items() if name != "monitor_is_denied"} | {
+    causes: Mapping[str, int] = {name: weight for name, weight in TROUBLES.items() if name not in ELSEWHERE} | {
         "active_hangs": 7,
         "standby_hangs": 3,
         "node_is_cut_off": 6,

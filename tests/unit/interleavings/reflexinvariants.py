@@ -73,6 +73,12 @@ class ReflexInvariants(Invariants):
 
     # -- gates ------------------------------------------------------------------------------------------------------
 
+    def _stale(self, before: GateRecord, after: GateRecord, gate: str) -> None:
+        return  # what a reader takes decides here
+
+    def _ended_by_monitor(self, pod: Object, by: str) -> None:
+        return
+
     def _named(self, record: GateRecord) -> tuple[str, ...]:
         return (*super()._named(record), *((record.admitted,) if record.admitted else ()))
 

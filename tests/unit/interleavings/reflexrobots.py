@@ -277,6 +277,12 @@ class ReflexRobots(Robots):
             self.agents[uid].silent_since = self.now
         super().freeze(uid)
 
+    def pause(self, uid: str) -> None:
+        self.hang(uid, self.between(0.6, 6.0))
+
+    def slow_down(self, uid: str) -> None:
+        return  # a reader with a deadline takes it for silent
+
     def crash(self, uid: str) -> None:
         if (agent := self.agents.get(uid)) is not None:
             if agent.strengths.range is not None:

@@ -40,6 +40,8 @@ class Robots:
     """By workload, the instances that the network lets through by now."""
     activated: bool = False
     """Whether an application sends only once a procedure has brought it to driving."""
+    clocks_differ: bool = False
+    """Whether the clock of a monitor was set, so that its records are of another clock than the world."""
     nodes: Nodes = field(default_factory=Nodes)
     changed: Callable[[str], None] = lambda robot: None
     """Called when what reaches a robot has changed."""
@@ -170,7 +172,7 @@ class Robots:
     def status(self, uid: str, phase: str, ready: bool, reason: str = "") -> None:
         """The kubelet says how a pod is."""
         found = self.running.get(uid)
-        if found is None or not found.exists or self._put_off(uid, self.status, uid, phase, ready, reason):
+        if found is None or not found.exists or self._kubelet_waits(uid, self.status, uid, phase, ready, reason):
             return
 
         def change(pod: Object) -> Object:
@@ -208,7 +210,8 @@ class Robots:
             robot=labels.get(names.WORKLOAD) or labels.get(REFERRED, ""),
             held=labels.get(names.HELD) == "true",
             ip=f"10.0.{self._addresses // 250}.{self._addresses % 250 + 1}",
-            broken=self.choices.random() < self.luck.broken,
+            broken=(broken := self.choices.random() < self.luck.broken),
+            harmed=broken,
             owner=labels.get(names.WORKLOAD, ""),
             secret=_secret(pod),
             phase=self.choices.random(),
@@ -225,7 +228,7 @@ class Robots:
         taken = {found.node for found in self.running.values() if found.exists and found.name in others}
         return [node for node in self.places() if node not in taken and not self.nodes.is_forgotten(node)]
 
-    def _put_off(self, uid: str, work: Callable[..., None], *args: object) -> bool:
+    def _kubelet_waits(self, uid: str, work: Callable[..., None], *args: object) -> bool:
         """Whether a pod's kubelet does something only once the API server has its node again."""
         found = self.running.get(uid)
         return found is not None and self.nodes.put_off(found.node, functools.partial(work, *args))
@@ -278,6 +281,7 @@ class Robots:
 
     def _silence(self, found: Running) -> None:
         """It sends nothing more."""
+        found.harmed = True
         if found.sends:
             found.sends, found.silent_since = False, self.now
         self.route(found.robot)
@@ -298,6 +302,7 @@ class Robots:
         """A pod's agent ends. Nobody learns of it if its node is gone with it."""
         if (agent := self.agents_of.pop(uid, None)) is not None:
             agent.process.kill()
+            self.running[uid].harmed = True
             if not silently:
                 self.network.tcp.ended(agent.process)
 
@@ -324,7 +329,7 @@ class Robots:
     def _end(self, uid: str) -> None:
         """A pod's processes end; what is left of its object goes a moment later."""
         found = self.running.get(uid)
-        if found is None or self._put_off(uid, self._end, uid):
+        if found is None or self._kubelet_waits(uid, self._end, uid):
             return
         found.ended, found.up, found.sends = True, False, False
         self.end_agent(uid)
@@ -358,7 +363,7 @@ class Robots:
         found = self.running.get(uid)
         if found is not None and not found.ended:
             found.heard_last = found.last_arrival(self.now) or -1.0
-            found.well_since = math.inf
+            found.well_since, found.harmed = math.inf, True
             found.period, found.through_since = self.choices.choice([0.3, 0.7, 1.6]), self.now
             self.route(found.robot)
 
@@ -396,7 +401,7 @@ class Robots:
     def heartbeat(self, uid: str) -> None:
         """The kubelet writes something that doesn't matter: versions grow."""
         found = self.running.get(uid)
-        if found is None or self._put_off(uid, self.heartbeat, uid):
+        if found is None or self._kubelet_waits(uid, self.heartbeat, uid):
             return
         beat = {"type": "ContainersReady", "status": "True", "lastProbeTime": f"{self.loop.time():.3f}"}
 
@@ -417,9 +422,15 @@ class Robots:
             self.later(3.0, self.status, found.uid, "Running", False)
             self.later(6.0, self._evict, found.uid)
 
+    def harm(self, node: str) -> None:
+        """What runs on a node may count as failed from now on."""
+        for found in self.running.values():
+            found.harmed |= found.node == node
+
     def forget(self, node: str, *, deletes: bool) -> None:
         """The API server loses a node whose pods live on. Kubernetes evicts them; ``deletes``: somebody deletes their objects."""
         self.nodes.forget(node)
+        self.harm(node)
         for found in [f for f in self.running.values() if f.node == node and not f.ended]:
             self.later(6.0, self._evict_lost, found.uid, deletes)
 

@@ -12,6 +12,7 @@ from tests.unit.interleavings.robots import Robots
 from tests.unit.interleavings.scheduling import Process
 from understudy.api.protocol.agent_messages import AgentStatus
 from understudy.api.protocol.kept_state import KeptState, RestoreReport
+from understudy.clock import CLOCK
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotVerified
 from understudy.failover.pinned import PinnedPod
@@ -177,9 +178,9 @@ class Outputs:
         while True:
             self._drain()
             found = self._observer._named(instance.name)
-            first = self._observer.first(found, since) if found is not None else None
+            first = self._observer.first(found, CLOCK.to_system(since)) if found is not None else None
             if first is not None:
-                return first
+                return CLOCK.of_system(first)
             await self._robots.wait(self._workload)
 
     def _others(self, instance: Instance | None) -> Iterator[tuple[str, Running]]:
@@ -191,7 +192,7 @@ class Outputs:
 
     def last_from_others(self, instance: Instance | None) -> tuple[float, str]:
         others, heard = self._others(instance), self._observer._last
-        found = [(last, name) for name, other in others if (last := heard(other)) is not None]
+        found = [(CLOCK.of_system(last), name) for name, other in others if (last := heard(other)) is not None]
         return max(found, default=(0.0, ""))
 
     def period_of_others(self, instance: Instance) -> float:
@@ -210,7 +211,7 @@ class Probes(Proof):
         while True:
             found = self._robots.running.get(uid)
             if found is not None and found.routed_at is not None:
-                return max(after, self._stamp(found.routed_at))
+                return max(after, CLOCK.of_system(self._stamp(found.routed_at)))
             await self._robots.wait(self._workload)
 
     def last(self, uid: str) -> float | None:

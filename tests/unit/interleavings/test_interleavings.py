@@ -34,6 +34,7 @@ from understudy.kube.leader_election import Lease
 from understudy.monitor.act import safe_commands
 from understudy.monitor.act.gate.leak_response import LeakResponse
 from understudy.monitor.act.instances.garbage_collection import GarbageCollection
+from understudy.monitor.act.objects.gate_control import GateControl
 from understudy.monitor.act.recovery.abandonment import Abandonment
 from understudy.monitor.judge import sole_driver
 from understudy.monitor.judge.reassessment import Reassessment
@@ -41,7 +42,7 @@ from understudy.monitor.judge.sole_driver import SoleDriver
 from understudy.monitor.observe import agent_connections
 from understudy.monitor.report.status_writer import StatusWriter
 
-RUNS, CHUNK = 125, 25
+RUNS, CHUNK = 90, 18
 """The short share; seeds from 100,000 on, which scripts/bench doesn't run by itself."""
 FIRST = 100_000
 
@@ -175,6 +176,11 @@ def test_a_stale_decision_that_fences_a_healthy_instance_is_detected() -> None:
 
     with mock.patch.object(Reassessment, "during", never):
         assert found("healthy again", EXECUTING, "decision_is_late", weather=0.0)
+
+
+def test_the_deletion_of_an_understudy_that_never_failed_is_detected() -> None:
+    with mock.patch.object(GateControl, "unanswered_since", None):
+        assert found("has never failed", EXECUTING, "api_server_is_away", weather=0.0)
 
 
 def test_a_half_open_watch_that_is_never_given_up_is_detected() -> None:

@@ -43,6 +43,7 @@ TROUBLES = {
     "monitor_is_denied": 2,
     "watch_falls_silent": 2,
     "decision_is_late": 1,
+    "api_server_is_away": 3,
     "monitor_watch_is_half_open": 2,
     "clock_is_set": 1,
     "kubelets_write": 4,
@@ -65,7 +66,7 @@ WATCHED = ("pods", "networkpolicies", "robotworkloads")
 """What a monitor learns from watches that may be half-open."""
 
 STEPS = (-60.0, -5.0, -0.7, 0.7, 5.0, 60.0)
-"""Seconds by which a clock is set."""
+"""How many seconds a clock is set forward, or back."""
 
 
 class Troubles(SimulatedCluster):
@@ -175,6 +176,8 @@ class Troubles(SimulatedCluster):
         process, seconds = self.choices.choice(self.monitors).process, self.choices.choice([4, 12, 60])
         self.note(f"{process} reaches no pod for {seconds} s")
         self.network.set_apart([process], True)
+        for node in NODES:
+            self.robots.harm(node)
         self.later(seconds, self.network.set_apart, [process], False)
 
     def _agent_restarts(self) -> None:
@@ -235,6 +238,19 @@ class Troubles(SimulatedCluster):
             self.note(f"{operator.process}: the watch of {plural} falls silent")
             operator.silent.add(plural)
 
+    def _api_server_is_away(self) -> None:
+        """Nobody reaches it for a while, and mostly an instance fails meanwhile."""
+        everybody, seconds = (
+            [actor.process for actor in (*self.monitors, *self.operators)],
+            self.choices.choice([4, 8, 60]),
+        )
+        self.note(f"nobody reaches the API server for {seconds} s")
+        self.network.cut_off.update(everybody)
+        self.later(seconds, self.network.cut_off.difference_update, everybody)
+        if self.choices.random() < 0.7:
+            workload, how = self.choices.choice(self.workloads), self.choices.choice(FAILURES)
+            self.later(self.choices.random() * seconds, lambda: self._break(self._active(workload), how))
+
     def _decision_is_late(self) -> None:
         """An instance stops for a while, and is well again before its monitor reaches the API server."""
         if not self.monitors:
@@ -256,6 +272,7 @@ class Troubles(SimulatedCluster):
         if self.monitors:
             process, step = self.choices.choice(self.monitors).process, self.choices.choice(STEPS)
             self.note(f"the clock of {process} is set by {step} s")
+            self.robots.clocks_differ = True
             process.clock_steps.append((self.robots.now, process.clock_steps[-1][1] + step))
 
     def _somebody_asks(self) -> None:
@@ -353,6 +370,7 @@ class Troubles(SimulatedCluster):
         lasts = 4 + self.choices.random() * 20
         self.note(f"node {node} enforces gates {lag} s late, for {lasts:.1f} s")
         self.robots.nodes.lags[node] = lag
+        self.robots.harm(node)
         self.later(lasts, self.robots.heal, node)
         self.later(
             self.choices.random() * 3, lambda: self._break(self._active(workload), self.choices.choice(FAILURES[-2:]))
