@@ -40,9 +40,9 @@ UNNOTICED = 0.6
 LOOK = 0.2
 """Seconds between two looks whether a robot is without commands."""
 
-STARVED = 30.0
-"""Seconds within which a monitor that works has a standby that works drive: the times that two strategies get, and the grace of an
-instance that was never heard.
+STARVED = 40.0
+"""Seconds within which a monitor that works has a standby that works drive: the times that all strategies get, and those for which it waits
+for the recovery of another monitor.
 """
 
 

@@ -149,7 +149,8 @@ def test_the_deletion_of_a_claimed_pod_is_detected() -> None:
 
 def test_a_status_that_a_dead_monitor_overwrites_is_detected() -> None:
     with mock.patch.object(StatusWriter, "check"):
-        assert found("than the status", EXECUTING, "monitor_is_replaced", "all_fail", weather=3.0)
+        troubles = ("second_monitor", "all_fail", "monitor_dies")
+        assert found("than the status", EXECUTING, *troubles, weather=3.0, first=17)
 
 
 FALLS_BEHIND = ("node_is_forgotten", "node_is_deaf")
