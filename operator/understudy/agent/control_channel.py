@@ -123,12 +123,8 @@ class _Session:
         self._writer.transport.abort()
 
     def reset(self) -> None:
-        """End the session and discard what was not delivered yet: the kernel would try to deliver that first."""
-        with contextlib.suppress(OSError):
-            self._writer.get_extra_info("socket").setsockopt(
-                socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0)
-            )
-        self.abort()
+        """End the session and discard what was not delivered yet."""
+        wire.reset(self._writer)
 
     @property
     def delivered(self) -> bool:

@@ -292,7 +292,8 @@ class AgentLink:
     def _disconnect(self, writer: asyncio.StreamWriter | None) -> None:
         self._writer = self._status = None
         if writer is not None:
-            writer.transport.abort()
+            # A command must not arrive later, when another monitor may have put the instance in control.
+            wire.reset(writer)
         for answer in self._answers.values():
             if not answer.done():
                 answer.set_exception(AgentGone(f"agent {self.pod or self.host}: the connection was lost"))

@@ -7,6 +7,8 @@ acknowledgement for long ends the connection, and the other side does not learn 
 from __future__ import annotations
 
 import asyncio
+import socket
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, cast
@@ -18,10 +20,14 @@ UNACKNOWLEDGED = 6.0
 
 
 class Socket:
-    """Options of a socket change nothing here."""
+    """The options of a side's socket."""
 
-    def setsockopt(self, *_: Any) -> None:
-        return
+    def __init__(self) -> None:
+        self.discards = False
+        """Whether what was not delivered is discarded when the connection ends."""
+
+    def setsockopt(self, _: int, option: int, value: object) -> None:
+        self.discards = self.discards or (option, value) == (socket.SO_LINGER, struct.pack("ii", 1, 0))
 
     def fileno(self) -> int:
         return -1
@@ -32,7 +38,8 @@ class Side(asyncio.Transport):
 
     def __init__(self, tcp: Tcp, process: Process, host: str, path: tuple[Process, str]) -> None:
         """``host`` is the address of the other side; ``path`` is the client, and the address of the server."""
-        super().__init__({"peername": (host, 0), "socket": Socket()})
+        self._socket = Socket()
+        super().__init__({"peername": (host, 0), "socket": self._socket})
         self._tcp, self.process, self.path = tcp, process, path
         self.protocol: asyncio.Protocol | None = None
         self.other: Side | None = None
@@ -104,6 +111,11 @@ class Side(asyncio.Transport):
             self.end()
 
     def abort(self) -> None:
+        if self._socket.discards and not self.is_closing():
+            self._unsent.clear()
+            if self._tcp.open(*self.path):  # nobody repeats a reset that is lost
+                self._send(None)
+            self._lost(None)
         self.close()
 
     def is_closing(self) -> bool:

@@ -189,19 +189,22 @@ def _prepared() -> None:
         simulation.prepared(scene, Deleting)
 
 
-def found(words: str, within: int = 100) -> None:
-    """There is a run in which nothing but failures and the network get in the way, and something of these words doesn't hold."""
+def found(words: str, within: int = 100, first: int = 0) -> None:
+    """There is a run in which nothing but failures and the network get in the way, and something of these words doesn't hold.
+
+    ``first`` is a seed that found it when it was written, so that the test takes no longer than it has to.
+    """
     scene = replace(SHARED, troubles=("all_fail",), weather=(3.0,))
-    for seed in range(within):
+    for seed in range(first, first + within):
         if any(words in fault for fault in run(seed, scene=scene)[0].faults):
             return
     pytest.fail(f"no {words!r} in {within} runs")
 
 
-@pytest.mark.parametrize("words", ["deletes the token", "takes away the right"])
-def test_the_simulation_detects_an_operator_that_ignores_unobserved_claims(words: str) -> None:
+@pytest.mark.parametrize(("words", "first"), [("deletes the token", 26), ("takes away the right", 20)])
+def test_the_simulation_detects_an_operator_that_ignores_unobserved_claims(words: str, first: int) -> None:
     with mock.patch.object(claim_tokens, "claimable", return_value=False):
-        found(words)
+        found(words, first=first)
 
 
 def test_the_simulation_detects_a_secret_that_its_pool_owns() -> None:

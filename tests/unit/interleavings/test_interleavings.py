@@ -88,7 +88,7 @@ def test_commands_of_a_monitor_that_was_replaced_are_detected() -> None:
         mock.patch.object(AgentMemory, "outdated", return_value=None),
         mock.patch.object(agent_connections, "CONFIRMED_FOR", math.inf),
     ):
-        assert found("later it carries out", INITIALIZED, "monitor_is_replaced", first=59)
+        assert found("later it carries out", INITIALIZED, "monitor_is_replaced", first=110)
 
 
 def test_a_claim_without_its_precondition_is_detected() -> None:
@@ -102,7 +102,7 @@ def test_a_claim_without_its_precondition_is_detected() -> None:
         return write
 
     with mock.patch.multiple(claims, **{name: careless(name) for name in writes}):
-        assert found("was claimed by", SCARCE, "all_fail", weather=3.0, within=300)
+        assert found("was claimed by", SCARCE, "all_fail", weather=3.0, within=300, first=16)
 
 
 def test_a_commit_without_its_precondition_is_detected() -> None:
@@ -128,7 +128,9 @@ def test_a_gate_that_opens_before_the_failed_pod_is_fenced_is_detected() -> None
 
 def test_forgotten_expectations_are_detected() -> None:
     with mock.patch.object(Expectations, "expect"):
-        assert found("free pods, ", SHARED, "understudy_fails", "watch_falls_silent", weather=3.0, within=400)
+        assert found(
+            "free pods, ", SHARED, "understudy_fails", "watch_falls_silent", weather=3.0, within=400, first=207
+        )
 
 
 def test_a_claim_with_a_lost_answer_that_counts_as_refused_is_detected() -> None:

@@ -56,11 +56,14 @@ class RequestedSwitchovers(Simulation):
         super()._written(plural, old, new, by)
         if plural != "networkpolicies" or new is None or not (record := GateRecord.of(new)).recovery:
             return
-        kind = Progress.model_validate_json(record.recovery).switchover
+        progress = Progress.model_validate_json(record.recovery)
+        kind = progress.switchover
         if kind is None:
             return
         self.switched[kind] += old is not None and GateRecord.of(old).active_uid != record.active_uid
-        if old is not None and GateRecord.of(old).recovery != record.recovery and not record.active:
+        # The response to a leak may close it when the switchover has ended.
+        changed = old is not None and GateRecord.of(old).recovery != record.recovery
+        if changed and not record.active and progress.result == "Running":
             self._broken(f"a switchover has closed the gate {new['metadata']['name']}")
 
     def _mistaken(self) -> Iterator[str]:

@@ -199,6 +199,24 @@ async def test_a_silent_agent_counts_as_disconnected(agent, link, changes, monke
     assert changes[:2] == [True, False]
 
 
+async def test_what_was_not_delivered_is_discarded_when_the_connection_is_lost(agent, link, monkeypatch):
+    monkeypatch.setattr(wire, "SILENCE", 0.3)
+    ended = asyncio.get_running_loop().create_future()
+
+    async def hear_nothing(reader, writer):
+        await say(writer)
+        await asyncio.sleep(1)
+        try:
+            while await reader.read(65536):
+                pass
+            ended.set_result("an end, after all that was sent")
+        except ConnectionResetError:
+            ended.set_result("a reset")
+
+    agent.follow = hear_nothing
+    assert await asyncio.wait_for(ended, 5) == "a reset"
+
+
 async def test_a_refusal_is_reported(agent, link):
     async def refuse(reader, writer):
         writer.write(wire.encode({"error": "claimed by other"}))
