@@ -196,9 +196,12 @@ class Invariants:
         most = max([wanted, *of_late])
         if workload is not None and self._refers(pod["metadata"]["namespace"], workload):
             most += 1  # what the referred controller makes is no standby, so one in control doesn't count
-        elif workload is not None and any(
-            self._is_outdated(other) or (self._is_of(workload, other) and not self._stays(other))
-            for other in self._server.items["pods"].values()
+        elif workload is not None and (
+            names.REPLACES in (pod["metadata"].get("annotations") or {})
+            or any(
+                self._is_outdated(other) or (self._is_of(workload, other) and not self._stays(other))
+                for other in self._server.items["pods"].values()
+            )
         ):
             most += 1  # one that is to go when there is another
         most += sum(other["metadata"]["uid"] in self._stragglers for other in same)
