@@ -16,7 +16,7 @@ from understudy.api.kinds.failure_policy import Safety
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.clock import CLOCK
 from understudy.failover.interfaces import Outputs
-from understudy.failover.progress import Progress
+from understudy.failover.progress import Progress, beside
 from understudy.monitor.decide.pause_state import PauseState
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.objects.cluster_view import ClusterView
@@ -63,9 +63,14 @@ class Unattended:
         changes = [moments[moment] for moment in (CLOSED, OPENED) if moment in moments]
         if changes:
             self._since = max(changes)
-        elif progress.attempts and self._since is None:  # an earlier monitor began this recovery
+        elif self._since is None and self._has_committed(progress):  # in an earlier attempt, by an earlier monitor
             self._since = moments.get("detected")
         return self._since
+
+    def _has_committed(self, progress: Progress) -> bool:
+        record = self._view.gate_record
+        found = beside(record.recovery) if record is not None else None
+        return found is not None and found.id == progress.id
 
     def conclude(self, outcome: Outcome) -> None:
         """Note the outcome of a recovery or a switchover."""

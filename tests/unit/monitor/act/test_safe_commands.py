@@ -20,7 +20,7 @@ from tests.unit.monitor.cluster_objects import TWIST, ClusterObjects, parsed_spe
 from tests.unit.monitor.senses import GivenGraph, NoOutputs
 from understudy.api.kinds.failure_policy import Safety
 from understudy.api.kinds.robot_workload import Attempt, RobotWorkloadSpec
-from understudy.failover.interfaces import Instance, Outputs
+from understudy.failover.interfaces import GateState, Instance, Outputs
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.monitor.act import safe_commands
 from understudy.monitor.act.safe_commands import SafeCommands, Unattended
@@ -40,10 +40,11 @@ class Waits:
     """Since when a robot waits, by the recovery in progress."""
 
     def __init__(self) -> None:
-        objects = ClusterObjects()
-        objects.put_workload()
+        self.objects = ClusterObjects()
+        self.objects.put_workload()
         self.current = CurrentRecovery()
-        self.unattended = Unattended(objects.view, PauseState(objects.view, objects.notices), self.current)
+        pauses = PauseState(self.objects.view, self.objects.notices)
+        self.unattended = Unattended(self.objects.view, pauses, self.current)
 
     def during(self, progress: Progress) -> float | None:
         with self.current.during(progress):
@@ -81,7 +82,14 @@ class TestUnattended:
         under_way.attempts.append(Attempt(strategy="Fallback/Executing", result="NotVerified"))
         under_way.forget_attempt()
         assert found.during(under_way) == 105.0
-        assert Waits().during(under_way) == 100.0, "a new monitor goes by the failure"
+        successor = Waits()
+        successor.objects.put_gate(GateState(2, recovery=under_way))
+        assert successor.during(under_way) == 100.0, "a new monitor goes by the failure"
+
+    def test_an_attempt_without_a_commit_begins_no_safe_commands(self) -> None:
+        under_way = progress(committing=105.0)
+        under_way.attempts.append(Attempt(strategy="Fallback/Executing", result="NotAvailable"))
+        assert Waits().during(under_way) is None
 
     def test_a_robot_that_already_follows_the_standby_receives_no_safe_command(self) -> None:
         under_way = progress(fenced=101.0)
