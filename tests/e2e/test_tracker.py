@@ -57,6 +57,7 @@ def assert_ordinary(motions: list[Motion]) -> None:
     assert any(stands(motion) for motion in back)
 
 
+@pytest.mark.alone  # images are drawn, sent and searched, which needs most of the machine
 @pytest.mark.parametrize(
     ("strategies", "expected"),
     [

@@ -18,6 +18,7 @@ COMMANDS = re.compile(r"```sh\n(.*?)```", re.DOTALL)
 GAP = re.compile(r"no command for ([\d.]+) s")
 
 
+@pytest.mark.alone  # its times are those of a robot that has the machine for itself
 @pytest.mark.usefixtures("kubectl")
 def test_the_robot_of_the_tutorial_is_driven_on_after_a_kill_and_after_a_freeze(
     kubeconfig: Path, tmp_path: Path
