@@ -106,7 +106,8 @@ def assert_fell_over(robot: Robot, recovery: Recovered, *, failed: float, return
 def test_the_robots_reader_falls_over_by_itself_and_the_loser_is_fenced(reflexive: Robot, how: str) -> None:
     old = wait_armed(reflexive)
     reflexive.fail(old, how)
-    failed = time.time()  # not before: the command takes a second on a busy machine, in which the reader may go and come back
+    # Not before: the command takes a second on a busy machine, in which the reader may leave and come back.
+    failed = time.time()
     recovery = recovered(reflexive, old)
     assert recovery.epoch == 2
     if how == "frozen":
