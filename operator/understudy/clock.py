@@ -65,3 +65,16 @@ def _offset() -> float:
 
 
 CLOCK = ProcessClock()
+
+
+class ClockSteps:
+    """The steps of the system's clock, for records that follow it."""
+
+    def __init__(self) -> None:
+        self._known = CLOCK.step()
+
+    def taken(self) -> float:
+        """Return by how many seconds the clock was set since the last call, or since this object was made."""
+        known = CLOCK.step()
+        step, self._known = known - self._known, known
+        return step

@@ -21,7 +21,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from understudy.api import names
-from understudy.clock import CLOCK
+from understudy.clock import CLOCK, ClockSteps
 
 _logger = logging.getLogger(__name__)
 
@@ -236,7 +236,7 @@ class ProbeReceiver:
 
     def __init__(self) -> None:
         self._arrivals = Arrivals()
-        self._step = CLOCK.step()
+        self._steps = ClockSteps()
         self._taken = time.time()
         """When the socket was last read to its end."""
         self._socket: socket.socket | None = None
@@ -357,8 +357,7 @@ class ProbeReceiver:
 
         The kernel stamped them by the old clock. They arrived after the last read.
         """
-        known = CLOCK.step()
-        step, self._step = known - self._step, known
+        step = self._steps.taken()
         if not step:
             return -math.inf, math.inf
         now = time.time()

@@ -16,7 +16,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from understudy.clock import CLOCK
+from understudy.clock import ClockSteps
 from understudy.ros.observe.graph_presence import NodePresenceWatch, PublisherPresence
 from understudy.ros.observe.lifecycle_states import LifecycleStates
 from understudy.ros.observe.message_contents import HEAD, OURS, Received, begins_with_header, ours
@@ -168,7 +168,7 @@ class TopicWatch:
         self._sources = Sources({})
         self._active = ""
         self._next_look_up = 0.0
-        self._step = CLOCK.step()
+        self._steps = ClockSteps()
         self._drained = time.time()
         self._drained_at = time.monotonic()
         self._losing_until = self._observed_since = -math.inf
@@ -449,8 +449,7 @@ class TopicWatch:
 
         Samples received before the step are stamped by the old clock. They arrived after the last drain.
         """
-        known = CLOCK.step()
-        step, self._step = known - self._step, known
+        step = self._steps.taken()
         if not step:
             return -math.inf, math.inf
         _logger.warning("the system clock jumped by %+.3f s; the receive times are corrected by the same amount", step)

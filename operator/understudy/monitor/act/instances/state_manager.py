@@ -19,7 +19,7 @@ from understudy.api.base import seconds
 from understudy.api.kinds.robot_workload import Recovery
 from understudy.api.kinds.state_spec import KeptStatus, RestoredState, State
 from understudy.api.protocol.kept_state import KeptState
-from understudy.clock import CLOCK
+from understudy.clock import ClockSteps
 from understudy.failover.interfaces import Instance
 from understudy.failover.progress import rfc3339
 from understudy.kube.agent_client import AgentGone, AgentRefused
@@ -80,7 +80,7 @@ class StateManager:
         """The instance from which state is kept; None if that is not known."""
         self.adopted_nothing = False
         """Whether nothing of the earlier monitor's state can be restored, because of the policy or because it is too old."""
-        self._step = CLOCK.step()
+        self._steps = ClockSteps()
         self._period = self._next_take = 0.0
         self._active = ""
         self._persisted: tuple[object, ...] = (self._keeper.revision, self.source)
@@ -179,8 +179,7 @@ class StateManager:
 
     def _follow_clock(self) -> None:
         """Shift all times if the clock was set, so that ages stay as they are."""
-        known = CLOCK.step()
-        step, self._step = known - self._step, known
+        step = self._steps.taken()
         if step:
             self._keeper.shift(step)
             self._capturing.shift(step)
