@@ -9,7 +9,7 @@ import asyncio
 import logging
 from collections.abc import AsyncIterator, Coroutine, Sequence
 from contextlib import asynccontextmanager
-from typing import Literal
+from typing import Literal, TypeVar
 
 from understudy.api.kinds.robot_workload import Attempt
 from understudy.failover.interfaces import ClaimsLost, Instance, NotAvailable, NotVerified, StillDriven, Superseded
@@ -17,6 +17,8 @@ from understudy.failover.progress import Progress
 from understudy.failover.strategies.base import Choice, StrategyContext
 
 _logger = logging.getLogger(__name__)
+
+T = TypeVar("T")
 
 IN_FLIGHT = 0.010
 """Seconds for which samples of the failed pod may still arrive after it was fenced."""
@@ -109,12 +111,11 @@ async def _in_its_time(progress: Progress, choice: Choice, context: StrategyCont
     """Wait for the resources of the strategy, carry it out within its time, and wait until its instance drives alone."""
     while True:
         await choice.strategy.wait(progress, context)
-        found: list[Instance] = []
         try:
             async with _answered_time(choice.verify_within, context):
-                work = _carry_out(progress, choice, context, found)
-                await unless_lost(work, progress, context, crashing_counts=not last)
-            await unless_lost(alone(found[0], progress, context), progress, context, crashing_counts=not last)
+                work = _carry_out(progress, choice, context)
+                target = await unless_lost(work, progress, context, crashing_counts=not last)
+            await unless_lost(alone(target, progress, context), progress, context, crashing_counts=not last)
             return
         except ClaimsLost as reason:
             _logger.info("%s", reason)
@@ -145,20 +146,20 @@ async def _extend_by_outages(limit: asyncio.Timeout, context: StrategyContext) -
         counted_until = now
 
 
-async def _carry_out(progress: Progress, choice: Choice, context: StrategyContext, found: list[Instance]) -> None:
-    """Put an instance in control, wait until its outputs arrive, and add it to ``found``."""
+async def _carry_out(progress: Progress, choice: Choice, context: StrategyContext) -> Instance:
+    """Put an instance in control, wait until its outputs arrive, and return it."""
     target = await choice.strategy.prepare(progress, context, within=choice.verify_within)
     since = progress.moments.get("committing", progress.cursor)
     first = await context.outputs.first_from(target, since=since)
     if first is not None:
         progress.note_first_output(first)
-    found.append(target)
+    return target
 
 
 async def unless_lost(
-    work: Coroutine[None, None, None], progress: Progress, context: StrategyContext, *, crashing_counts: bool
-) -> None:
-    """Do the work, and stop if its instance is lost, so that the next strategy is tried.
+    work: Coroutine[None, None, T], progress: Progress, context: StrategyContext, *, crashing_counts: bool
+) -> T:
+    """Do the work and return its result, but stop if its instance is lost, so that the next strategy is tried.
 
     ``crashing_counts`` is whether a crash-looping instance is lost too: if no other strategy is left, it may still come up.
     Raises NotVerified.
@@ -169,7 +170,7 @@ async def unless_lost(
         await asyncio.wait((working, watching), return_when=asyncio.FIRST_COMPLETED)
         if not working.done():
             raise NotVerified(watching.result())
-        working.result()
+        return working.result()
     finally:
         for task in (working, watching):
             task.cancel()

@@ -60,17 +60,12 @@ async def prepare(progress: Progress, choices: Sequence[Choice], context: Strate
     attempts: list[Attempt] = []
     for index, choice in enumerate(choices):
         progress.index, progress.strategy = index, choice.strategy.name
-        found: list[Instance] = []
-
-        async def work(choice: Choice = choice, found: list[Instance] = found) -> None:
-            within = choice.verify_within
-            found.append(await choice.strategy.make_ready(progress, aside, within=within, unfit=unfit))
-
         result: Literal["NotVerified", "NotAvailable"] = "NotVerified"
         try:
             async with asyncio.timeout(choice.verify_within):
-                await unless_lost(work(), progress, context, crashing_counts=True)
-            return Preparation(progress, found[0], attempts)
+                work = choice.strategy.make_ready(progress, aside, within=choice.verify_within, unfit=unfit)
+                target = await unless_lost(work, progress, context, crashing_counts=True)
+            return Preparation(progress, target, attempts)
         except NotAvailable as error:
             result, reason = "NotAvailable", str(error)
         except NotVerified as error:
