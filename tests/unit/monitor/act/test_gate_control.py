@@ -191,6 +191,7 @@ async def test_a_gate_that_somebody_edited_lets_through_again_whom_its_record_na
     view, kind = objects.view, objects.view.gate_kind
     assert view.gate_object is not None
     before = view.gate_object["spec"]
+    assert not await objects.gate.restore_routing(), "nobody edited it yet"
     edited = await objects.client.patch(
         kind.resource, view.namespace, objects.gate_name, {"spec": {"podSelector": edit}}
     )

@@ -56,6 +56,8 @@ class GateControl:
         self._client, self._view, self._fleet, self._probes = client, view, fleet, probes
         self._crash_points, self._kind, self._notices = crash_points, view.gate_kind, notices
         self._cached: tuple[int, GateState] = (-1, GateState())
+        self._routed = -1
+        """The revision of the gate that lets those through whom its record names."""
         self._own: tuple[str, int, str] = ("", 0, "")
         """The recovery that this monitor committed last: its id, the epoch of the commit, and the record that was sent with it."""
 
@@ -233,11 +235,15 @@ class GateControl:
 
         Control does not change, so the epoch stays. A failed write is not repeated, as in :meth:`admit`.
         """
+        revision = self._view.gates.revision
+        if revision == self._routed:  # each evaluation asks
+            return False
         record, gate = self.record, self._view.gate_object
         if record is None or gate is None:
             return False
         fields = self._kind.routing_repair(gate, self._view.workload, record.active, record.admitted)
         if not fields:
+            self._routed = revision
             return False
         patch = {"metadata": {"resourceVersion": record.version}} | fields
         try:
