@@ -85,7 +85,7 @@ CLAIMED_AT = f"{GROUP}/claimed-at"
 """Annotation of a pool's pod: when it was claimed, in whole unix seconds."""
 
 REPLACES = f"{GROUP}/replaces"
-"""Annotation of a standby that was created to replace another one on another node: the UID of that pod."""
+"""Annotation of a standby that was created to replace another pod on another node: the UID of that pod."""
 
 NOT_MOVED = f"{GROUP}/not-moved"
 """Annotation of a standby on the node of the active instance: when its replacement elsewhere could not start, in whole unix seconds."""

@@ -44,8 +44,12 @@ class TestStandbys:
         made.leaving = frozenset(leaves)
         return made.plan()
 
-    def standby(self, made: World, place: str, name: str = "w-s") -> Object:
-        return on(place, standby_pod(name, of=made.workload, template_hash=made.template_hash, age=50.0))
+    def standby(self, made: World, place: str, name: str = "w-s", **more: Any) -> Object:
+        return on(place, standby_pod(name, of=made.workload, template_hash=made.template_hash, **{"age": 50.0} | more))
+
+    def replacement(self, made: World, place: str, name: str, **more: Any) -> Object:
+        """A standby that was created to replace the pod of the workload's own controller."""
+        return self.standby(made, place, name, annotations={names.REPLACES: "uid-w-own"}, **more)
 
     def test_standbys_on_leaving_nodes_are_replaced_first_and_the_active_instance_stays(self) -> None:
         empty = self.world()
@@ -78,14 +82,30 @@ class TestStandbys:
     def test_an_own_pod_on_a_leaving_node_is_replaced_before_it_is_deleted(self, drives_on: str, ready: bool) -> None:
         made = self.driven(per_workload=1)
         made.pods = [on(drives_on, made.pods[0])]
-        own, other = self.own(made, "m", ready=ready), self.standby(made, "o", "w-t")
-        starting = on("o", standby_pod("w-t", of=made.workload, template_hash=made.template_hash, ready=False))
+        own, other = self.own(made, "m", ready=ready), self.replacement(made, "o", "w-t")
+        starting = self.replacement(made, "o", "w-t", ready=False)
         assert self.now(made, own) == (1, [])
         assert self.now(made, own, starting) == (0, [])
         assert self.now(made, own, other) == (0, ["w-own"])
         assert self.now(made, other) == (0, []), "the workload's own controller makes the next one"
         assert self.now(made, self.own(made, "o", "w-own2", ready=False), other) == (0, [])
         assert self.now(made, self.own(made, "o", "w-own2"), other) == (0, ["w-t"])
+
+    def test_the_standby_that_replaces_an_own_pod_names_it(self) -> None:
+        """Creation times would not show it: the API server records them in whole seconds."""
+        made = self.driven(per_workload=1)
+        made.pods = [made.pods[0], own := self.own(made, "m", age=50.0)]
+        (new,) = created(self.planned(made, "m"), "pods")
+        assert new["metadata"]["annotations"][names.REPLACES] == "uid-w-own"
+        assert "requiredDuringSchedulingIgnoredDuringExecution" not in new["spec"]["affinity"]["podAntiAffinity"]
+        assert self.now(made, own, self.replacement(made, "o", "w-t", age=50.0)) == (0, ["w-own"])
+
+    def test_a_replacement_for_a_leaving_node_that_no_node_accepts_is_reported(self) -> None:
+        made = self.driven(per_workload=1)
+        stuck = self.replacement(made, "", "w-t", ready=False)
+        stuck["status"]["conditions"] += [{"type": "PodScheduled", "status": "False", "reason": "Unschedulable"}]
+        made.pods, made.leaving = [made.pods[0], self.own(made, "m"), stuck], frozenset({"m"})
+        assert made.condition("Reconciled")["reason"] == "Unschedulable"
 
     async def test_the_pool_reports_an_own_pod_on_a_leaving_node_and_is_reconciled_for_it(self) -> None:
         made, store = self.driven(per_workload=1), Store()
@@ -110,7 +130,7 @@ class TestStandbys:
 
     def test_an_own_pod_stays_until_replacements_on_other_nodes_are_ready_and_during_a_recovery(self) -> None:
         made = self.driven(per_workload=2)
-        own, others = self.own(made, "m"), [self.standby(made, "o", "w-s"), self.standby(made, "o", "w-t")]
+        own, others = self.own(made, "m"), [self.standby(made, "o", "w-s"), self.replacement(made, "o", "w-t")]
         assert self.now(made, own, others[0]) == (1, []), "two others are needed before it goes"
         assert self.now(made, own, others[0], self.standby(made, "m", "w-t")) == (1, [])
         assert self.now(made, own, *others) == (0, ["w-own"])
@@ -119,7 +139,7 @@ class TestStandbys:
 
     def test_an_own_pod_that_is_scheduled_on_a_leaving_node_again_is_not_deleted(self) -> None:
         made = self.driven(per_workload=1)
-        own, other = self.own(made, "m", age=10.0), self.standby(made, "o", "w-t")
+        own, other = self.own(made, "m", "w-own2", age=10.0), self.replacement(made, "o", "w-t")
         assert self.now(made, own, other) == (0, [])
         assert deleted(self.planned(made)) == ["w-t"], "the node stays"
 

@@ -38,14 +38,13 @@ def placement(observed: Observed) -> Placement:
     monitors = [pod for pod in observed.monitors if kube_objects.ready(pod)]
     if place in observed.leaving or not monitors or not all(leaving_nodes.of(pod) == place for pod in monitors):
         return Placement(before)
-    others = (node for node in observed.nodes if kube_objects.name(node) != place)
-    if not any(leaving_nodes.accepts(node, TOLERATIONS) for node in others):
+    if not leaving_nodes.another_accepts(observed.nodes, place, TOLERATIONS):
         return Placement(before)
     healthy = (observed.workload.get("status") or {}).get("health") == "Healthy"
     if not healthy or observed.recovering or observed.handing_over or _would_lose_recordings(observed):
         return Placement(before)
-    rest = SETTLED_SECONDS - (observed.now - max(map(kube_objects.created, monitors)))
-    rest = max(rest, SETTLED_SECONDS - (observed.now - _last_failure(observed.workload)))
+    changed = max(_last_failure(observed.workload), *map(kube_objects.created, monitors))
+    rest = observed.left(SETTLED_SECONDS, since=changed)
     return Placement(before, rest) if rest > 0.0 else Placement(kube_objects.name(active))
 
 

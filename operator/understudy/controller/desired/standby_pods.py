@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 from understudy.api import names
 from understudy.controller.desired import effective_policy, standby_spread
@@ -18,7 +19,7 @@ from understudy.controller.observed import (
 )
 from understudy.controller.observed.observation import Observed
 from understudy.controller.plan import Create, Delete, Patch, Plan
-from understudy.controller.pods import instance_pod, pod_counts
+from understudy.controller.pods import instance_pod, pod_counts, pod_placement
 from understudy.controller.pods.pool_pods import UniqueValues
 from understudy.kube.client import PODS, REPLICA_SETS, Object
 
@@ -58,7 +59,7 @@ def keep(made: Plan, observed: Observed, workload_plan: WorkloadPlan, pool: str,
         and names.CLAIM not in kube_objects.notes(pod)
         and ownership.controls(kube_objects.uid(workload), pod)
     ]
-    want, spared = wanted(observed, pool), 0
+    want, spared, renewal = wanted(observed, pool), 0, _Renewal()
     found = _spread(observed, workload_plan, pool, mine, want)
     if found.give_up is not None:
         mark = {"metadata": {"annotations": {names.NOT_MOVED: str(int(observed.now))}}}
@@ -67,9 +68,9 @@ def keep(made: Plan, observed: Observed, workload_plan: WorkloadPlan, pool: str,
         # The pod with which a referred controller replaces the failed one has no agent, so it cannot be the standby.
         want += sum(kube_objects.is_active(pod, gate) for pod in mine) if want else 0
     elif want:
-        more, replaced = _renewed(observed, workload_plan, pool, mine, want, found.move)
-        want, spared = want + more, _spared(observed, pool)
-        made.writes += [Delete(PODS, pod) for pod in replaced]
+        renewal = _renewed(observed, workload_plan, pool, mine, want, found.move)
+        want, spared = want + renewal.extra, _spared(observed, pool)
+        made.writes += [Delete(PODS, pod) for pod in renewal.going]
     change = pod_counts.change(
         mine,
         want=want,
@@ -81,11 +82,13 @@ def keep(made: Plan, observed: Observed, workload_plan: WorkloadPlan, pool: str,
         hold=_held(observed),
         spared=spared,
     )
+    replaced = found.move or renewal.moving
+    notes = {names.REPLACES: kube_objects.uid(replaced)} if replaced is not None else {}
     for _ in range(change.create):
-        name = fresh.name(kube_objects.name(workload))
-        body = instance_pod.pod(built, name=name, namespace=workload["metadata"]["namespace"], owner=owner)
+        name, namespace = fresh.name(kube_objects.name(workload)), workload["metadata"]["namespace"]
+        body = instance_pod.pod(built, name=name, namespace=namespace, owner=owner, annotations=notes)
         if found.move is not None and observed.active is not None:
-            body = standby_spread.replacement(body, found.move, observed.active)
+            body = pod_placement.apart_from(body, kube_objects.name(observed.active))
         made.writes.append(Create(PODS, body, counted=True))
     made.writes += [Delete(PODS, pod) for pod in change.delete]
     for delay in (change.again_after, found.again_after):
@@ -105,6 +108,18 @@ def _spread(
     return standby_spread.spread(observed, dict(workload_plan.template), workload_plan.builts[pool], standbys, want)
 
 
+@dataclass(frozen=True)
+class _Renewal:
+    """How a pod of the workload's own controller is replaced that stands in for a standby."""
+
+    extra: int = 0
+    """Standbys beyond the wanted number."""
+    going: Sequence[Object] = ()
+    """The workload's own pods that can be deleted."""
+    moving: Object | None = None
+    """The own pod that a new standby is to replace on another node."""
+
+
 def _renewed(
     observed: Observed,
     workload_plan: WorkloadPlan,
@@ -112,8 +127,8 @@ def _renewed(
     mine: Sequence[Object],
     want: int,
     move: Object | None,
-) -> tuple[int, list[Object]]:
-    """Return the number of extra standbys during a replacement, and the workload's own pods that can be deleted.
+) -> _Renewal:
+    """Return how the workload's own pods are replaced, beside a pool's standbys.
 
     A pod of the workload's own controller can stand in for a standby. If it has an old template, is on a node that is
     about to go, or is the one to ``move`` to another node, it waits like any standby. Like a standby, it is deleted when
@@ -123,7 +138,7 @@ def _renewed(
     """
     gate, present = observed.gate, instance_pod.template_hash(workload_plan.builts[pool])
     if observed.active is None or kube_objects.labels(observed.active).get(names.SOURCE) == "workload":
-        return 0, []
+        return _Renewal()
     displaced = replacement_standbys.displaced(gate, observed.pods)
     own = instance_pod.template_hash(workload_plan.builts[""])
     found = [pod for pod in observed.pods if replacement_standbys.is_own(pod)]
@@ -134,9 +149,9 @@ def _renewed(
         if pool == displaced and (pod is move or leaving_nodes.on(pod, observed.leaving)) and pod not in outdated
     ]
     if not outdated and not moving:
-        return 0, []
+        return _Renewal()
     if displaced != pool and pool != _first_kept(observed, workload_plan, displaced):
-        return 0, []
+        return _Renewal()
     ready = [
         pod
         for pod in mine
@@ -148,16 +163,11 @@ def _renewed(
     live = observed.owned.get(("replicasets", kube_objects.name(observed.workload)))
     # Before the controller has the current template, it would create another pod of the old one.
     go = len(ready) >= want and live is not None and _template_of(live) == own and not _held(observed)
-    # If a template always places its pods on such a node, the next pod is newer than the standbys that replace it, or is
-    # not the one that they replace. Without this check, the replacement would never end.
-    newest = max(map(kube_objects.created, ready), default=0.0)
+    # A template may place the controller's next pod on such a node again. No standby names that pod, so it stays:
+    # otherwise, the replacement would never end.
     replaced = {kube_objects.notes(pod).get(names.REPLACES) for pod in ready}
-    going = outdated + [
-        pod
-        for pod in moving
-        if (kube_objects.uid(pod) in replaced if pod is move else kube_objects.created(pod) < newest)
-    ]
-    return int(pool == displaced), going if go else []
+    going = outdated + [pod for pod in moving if kube_objects.uid(pod) in replaced]
+    return _Renewal(int(pool == displaced), going if go else (), next(iter(moving), None))
 
 
 def _held(observed: Observed) -> bool:

@@ -54,26 +54,17 @@ def spread(observed: Observed, template: Object, built: Object, standbys: Sequen
         for pod in standbys
     ):
         return Spread()  # these are replaced elsewhere for another reason
-    rest = max((REST_SECONDS - (observed.now - _tried(pod)) for pod in beside), default=0.0)
+    rest = observed.left(REST_SECONDS, since=max(map(_tried, beside)))
     if rest > 0.0:
         return Spread(again_after=rest)
-    tolerations = built["spec"].get("tolerations") or []
-    others = (node for node in observed.nodes if kube_objects.name(node) != place)
-    if not any(leaving_nodes.accepts(node, tolerations) for node in others):
+    if not leaving_nodes.another_accepts(observed.nodes, place, built["spec"].get("tolerations") or []):
         return Spread()
     for pod in standbys:
         if names.REPLACES in kube_objects.notes(pod) and not kube_objects.ready(pod):
             limit = _UNPLACED_SECONDS if pod_diagnosis.trouble(pod) is not None else _STARTING_SECONDS
-            rest = limit - (observed.now - kube_objects.created(pod))
+            rest = observed.left(limit, since=kube_objects.created(pod))
             return Spread(move=beside[0], again_after=rest) if rest > 0.0 else Spread(give_up=beside[0])
     return Spread(move=beside[0])
-
-
-def replacement(body: Object, replaced: Object, active: Object) -> Object:
-    """Return a new standby that replaces one on another node than that of the active instance."""
-    annotations = {**(body["metadata"].get("annotations") or {}), names.REPLACES: kube_objects.uid(replaced)}
-    noted = {**body, "metadata": {**body["metadata"], "annotations": annotations}}
-    return pod_placement.apart_from(noted, kube_objects.name(active))
 
 
 def _first_to_go(pod: Object) -> tuple[bool, bool, float, str]:

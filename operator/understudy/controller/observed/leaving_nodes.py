@@ -38,6 +38,11 @@ def accepts(node: Object, tolerations: Collection[Object]) -> bool:
     return not is_leaving(node) and all(any(_tolerates(one, taint) for one in tolerations) for taint in taints)
 
 
+def another_accepts(found: Collection[Object], place: str, tolerations: Collection[Object]) -> bool:
+    """Whether one of these nodes other than ``place`` accepts a new pod with these tolerations."""
+    return any(kube_objects.name(node) != place and accepts(node, tolerations) for node in found)
+
+
 def _tolerates(toleration: Object, taint: Object) -> bool:
     return (
         toleration.get("key") in (None, "", taint.get("key"))

@@ -16,8 +16,6 @@ from understudy.controller.plan import Problem
 from understudy.kube.client import CONFIG_MAPS, Object
 from understudy.kube.gates import registry
 
-"""The readiness levels of a workload's own standbys."""
-
 _UNDER_WAY: tuple[Phase, ...] = ("Preparing", "Switching")
 """The phases of a planned switchover that use an understudy."""
 
@@ -66,6 +64,10 @@ class Observed:
     """The nodes of the cluster."""
     going: frozenset[str] = frozenset()
     """The deleted shared pools that still have claimable pods, of those whose agents the monitor may command."""
+
+    def left(self, seconds: float, *, since: float) -> float:
+        """Return how many seconds are left of this many since a time (Unix seconds); not above 0 if they have passed."""
+        return seconds - (self.now - since)
 
     @property
     def policy(self) -> Object | None:

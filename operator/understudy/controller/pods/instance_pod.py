@@ -205,15 +205,17 @@ def template_hash(built: Object) -> str:
     return found
 
 
-def pod(built: Object, *, name: str, namespace: str, owner: Object) -> Object:
-    """Return a pod of a built template."""
+def pod(
+    built: Object, *, name: str, namespace: str, owner: Object, annotations: Mapping[str, str] | None = None
+) -> Object:
+    """Return a pod of a built template, with further annotations."""
     metadata = built["metadata"]
     labels = {**metadata["labels"], names.INSTANCE: name}
-    annotations = dict(metadata.get("annotations") or {})
+    noted = {**(metadata.get("annotations") or {}), **(annotations or {})}
     if names.HELD in labels:
         labels[names.PART] = claims.part(name)
         # A claim adds to the annotations, so there must be one.
-        annotations.setdefault(DEFAULT_CONTAINER, built["spec"]["containers"][0]["name"])
+        noted.setdefault(DEFAULT_CONTAINER, built["spec"]["containers"][0]["name"])
     return {
         "apiVersion": "v1",
         "kind": "Pod",
@@ -222,7 +224,7 @@ def pod(built: Object, *, name: str, namespace: str, owner: Object) -> Object:
             "name": name,
             "namespace": namespace,
             "labels": labels,
-            **({"annotations": annotations} if annotations else {}),
+            **({"annotations": noted} if noted else {}),
             "ownerReferences": [owner],
         },
         "spec": built["spec"],

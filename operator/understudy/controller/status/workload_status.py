@@ -116,8 +116,13 @@ def _reconciled(observed: Observed, workload_plan: WorkloadPlan, problems: Seque
     if workload_plan.environment is None:
         return no("InProgress", "Waiting for the address of the discovery server's Service.")
     kept = standby_pods.awaited(observed, workload_plan)
-    # If no node accepts a standby that must be elsewhere, the present ones stay, and nothing is missing.
-    unplaced = [p for p in observed.instances if names.REPLACES in kube_objects.notes(p) and not leaving_nodes.of(p)]
+    # If no node accepts a standby that must be elsewhere, the present ones stay, and nothing is missing: unless their node is about to go.
+    staying = {kube_objects.uid(p) for p in observed.pods if not leaving_nodes.on(p, observed.leaving)}
+    unplaced = [
+        p
+        for p in observed.instances
+        if kube_objects.notes(p).get(names.REPLACES) in staying and not leaving_nodes.of(p)
+    ]
     if found := pod_diagnosis.first([pod for pod in observed.instances if pod not in unplaced]):
         return no(found.reason, f"{found.message} {kept}." if kept else found.message)
     if kept:
