@@ -15,7 +15,9 @@ from understudy.api.protocol.agent_messages import AgentStatus
 from understudy.api.protocol.kept_state import KeptState, RestoreReport
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Gate, Instance
+from understudy.failover.pinned import PinnedPod
 from understudy.kube.gates.base import Proof
+from understudy.monitor.observe.robot.known_senders import KnownSender, OutputSender
 from understudy.trees.core.health_tree import Verdict
 
 STARTUP = 0.1
@@ -61,7 +63,7 @@ class HealthObserver:
     def follow(self, policy: Any, spec: Any) -> None:
         return
 
-    def drain(self, instances: Sequence[Instance], active: str) -> None:
+    def drain(self, instances: Sequence[Instance], active: str, pinned: Sequence[PinnedPod] = ()) -> None:
         self._uids = {i.name: i.uid for i in instances}
         self._active = self._uids.get(active, "")
 
@@ -72,6 +74,24 @@ class HealthObserver:
         return self._application.failed.get(uid, time.time())
 
     last_well = last_from
+
+    def new_process(self, pod: str, *, since: float) -> bool:
+        return self._application.healthy_since.get(self._uids.get(pod, ""), since) >= since
+
+    def processes(self, pod: str) -> frozenset[bytes]:
+        return frozenset()
+
+    def hears_others(self) -> bool:
+        return True
+
+    def expect_samples(self, *, since: float, heard_from: float) -> None:
+        return
+
+    def known_senders(self) -> Sequence[KnownSender]:
+        return ()
+
+    def output_senders(self) -> Sequence[OutputSender]:
+        return ()
 
     def verdict(self, *, now: float, since: float) -> Verdict:
         if (failed := self._application.failed.get(self._active)) is not None:
@@ -109,6 +129,9 @@ class Outputs:
     def last_from_others(self, instance: Instance | None) -> tuple[float, str]:
         return 0.0, ""
 
+    def period_of_others(self, instance: Instance) -> float:
+        return 0.0
+
 
 class Probes(Proof):
     """Reports every gate as enforced at once, because there is no network."""
@@ -117,7 +140,7 @@ class Probes(Proof):
         self._application = application
         self.gate: Gate | None = None
 
-    async def wait(self, uid: str, after: float, within: float | None = None) -> float:
+    async def wait(self, uid: str, after: float) -> float:
         return max(after, time.time())
 
     def last(self, uid: str) -> float | None:
@@ -171,6 +194,11 @@ class AgentConnections:
 
     async def bring_up(
         self, instance: Instance, procedure: BringUp, *, within: float, state: KeptState
+    ) -> RestoreReport:
+        return RestoreReport()
+
+    async def run(
+        self, instance: Instance, procedure: BringUp, *, within: float, state: KeptState, brought: str
     ) -> RestoreReport:
         return RestoreReport()
 
