@@ -7,7 +7,7 @@ import base64
 import logging
 import math
 import time
-from collections.abc import Coroutine, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from typing import Any
 
 from understudy.api import names
@@ -386,31 +386,46 @@ class AgentConnections:
         """
         if procedure.problem:
             raise NotVerified(procedure.problem)
-        loop, epoch = asyncio.get_running_loop(), self._epoch()
-        end, problem = loop.time() + within, "its agent is not connected"
+        epoch, end = self._epoch(), asyncio.get_running_loop().time() + within
         wire = await asyncio.to_thread(state.to_wire) if state or state.left_out else None
+
+        async def answer(link: AgentLink, rest: float) -> RestoreReport:
+            tree, name, places = procedure.tree, procedure.name, procedure.places
+            found = await link.procedure(tree, rest, name=name, state=wire, brought=brought, places=places, epoch=epoch)
+            return RestoreReport.from_wire(found)
+
+        try:
+            return await self._answered(instance, epoch, end, answer)
+        except (AgentRefused, ProtocolError) as error:
+            raise NotVerified(str(error)) from error
+        except TimeoutError as error:
+            raise NotVerified(
+                f"{procedure.name} of {instance.name}: not done within {within:.3g} s: {error}"
+            ) from error
+
+    async def _answered(
+        self,
+        instance: Instance,
+        epoch: GateEpoch,
+        end: float,
+        answer: Callable[[AgentLink, float], Awaitable[RestoreReport]],
+    ) -> RestoreReport:
+        """Return the answer of an instance's agent, asked again until there is one or until ``end`` by the loop's clock.
+
+        ``epoch`` is that of the decision. ``answer`` receives the connection and the seconds that are left. Raises TimeoutError with the
+        last problem, NotVerified if the decision is stale, and what ``answer`` raises if the agent refuses.
+        """
+        loop, problem = asyncio.get_running_loop(), "its agent is not connected"
         while (rest := end - loop.time()) > 0:
             try:
                 async with asyncio.timeout(rest):
                     link = await self._connected(instance)
                 end += await self._wait_confirmed(epoch)
-                rest = max(0.1, end - loop.time())
-                answer = await link.procedure(
-                    procedure.tree,
-                    rest,
-                    name=procedure.name,
-                    state=wire,
-                    brought=brought,
-                    places=procedure.places,
-                    epoch=epoch,
-                )
-                return RestoreReport.from_wire(answer)
-            except (AgentRefused, ProtocolError) as error:
-                raise NotVerified(str(error)) from error
+                return await answer(link, max(0.1, end - loop.time()))
             except (AgentGone, TimeoutError) as error:
                 problem = str(error) or problem
                 await asyncio.sleep(RETRY)
-        raise NotVerified(f"{procedure.name} of {instance.name}: not done within {within:.3g} s: {problem}")
+        raise TimeoutError(problem)
 
     async def restore(self, instance: Instance, state: KeptState, within: float) -> RestoreReport:
         """Restore kept state on an instance, for ``within`` seconds at most. The report lists what could not be restored."""
@@ -422,25 +437,21 @@ class AgentConnections:
 
     async def _give(self, instance: Instance, state: KeptState, end: float) -> RestoreReport:
         """Restore a part of the state that fits into one request, until ``end`` by the loop's clock."""
-        loop, epoch = asyncio.get_running_loop(), self._epoch()
-        started_at, problem = loop.time(), "its agent is not connected"
+        epoch, late = self._epoch(), ANSWER_LATE + state.size / SLOWEST
+        within = end - asyncio.get_running_loop().time()
         wire = await asyncio.to_thread(state.to_wire)
-        while (rest := end - loop.time()) > 0:
-            try:
-                async with asyncio.timeout(rest):
-                    link = await self._connected(instance)
-                end += await self._wait_confirmed(epoch)
-                rest = max(0.1, end - loop.time())
-                late = ANSWER_LATE + state.size / SLOWEST
-                body = {"state": wire, "within": rest}
-                answer = await link.request("restore", body, within=rest + late, epoch=epoch)
-                return RestoreReport.from_wire(answer.get("report", {}))
-            except (AgentRefused, NotVerified, ProtocolError) as error:
-                return state.none_restored(str(error))
-            except (AgentGone, TimeoutError) as error:
-                problem = str(error) or problem
-                await asyncio.sleep(RETRY)
-        return state.none_restored(f"{problem} within {end - started_at:.3g} s")
+
+        async def answer(link: AgentLink, rest: float) -> RestoreReport:
+            body = {"state": wire, "within": rest}
+            found = await link.request("restore", body, within=rest + late, epoch=epoch)
+            return RestoreReport.from_wire(found.get("report", {}))
+
+        try:
+            return await self._answered(instance, epoch, end, answer)
+        except (AgentRefused, NotVerified, ProtocolError) as error:
+            return state.none_restored(str(error))
+        except TimeoutError as error:
+            return state.none_restored(f"{error} within {within:.3g} s")
 
     async def inspect(self, instance: Instance, body: Mapping[str, Any], within: float) -> dict[str, Any]:
         """Return parameters and lifecycle states of an instance's nodes, as its agent reads them. Raises AgentGone, AgentRefused."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, TypeGuard
+from typing import Any, TypeGuard, TypeVar
 
 from understudy.api.durations import seconds
 from understudy.api.ros_names import ROS_NAME_PATTERN, ROS_TYPE_PATTERN
@@ -25,6 +25,8 @@ JSON_PREFIX = "json:"
 
 Read = Callable[[object], Any]
 """Converts a value of a tree. Raises ValueError with what was found and what would be right."""
+
+Child = TypeVar("Child")
 
 _NODE_NAME = re.compile(r"[A-Za-z0-9_.-]{1,63}")
 
@@ -66,6 +68,20 @@ class Reader:
                 self.problem(path, f"the node is empty; give one of {', '.join(kinds)}")
             return None
         return found[0]
+
+    def children(
+        self, kind: str, value: object, path: str, read: Callable[[object, str], Child | None]
+    ) -> list[Child] | None:
+        """Return what ``read`` makes of each node in the list of a composite, and of its path; None if one has a problem."""
+        if not isinstance(value, list):
+            self.problem(path, f"found {found_text(value)}; {kind!r} must have a list of nodes")
+            return None
+        if not value:
+            self.problem(path, f"the list is empty; {kind} needs at least one node")
+            return None
+        found = [read(child, f"{path}[{i}]") for i, child in enumerate(value)]
+        children = [child for child in found if child is not None]
+        return children if len(children) == len(found) else None
 
     def name(self, value: Mapping[str, Any], path: str) -> str | None:
         """Return the name of a node, if it has one."""

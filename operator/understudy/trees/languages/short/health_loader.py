@@ -154,17 +154,8 @@ class _Loader(Reader):
             self.problem(f"{path}.{key}", f"unknown key {key!r}{did_you_mean(key, (*KINDS, 'name'))}")
 
     def _composite(self, kind: str, value: object, path: str, name: str, below: list[str], depth: int) -> Build | None:
-        if not isinstance(value, list):
-            self.problem(path, f"found {found_text(value)}; {kind!r} must have a list of nodes")
-            return None
-        if not value:
-            self.problem(path, f"the list is empty; {kind} needs at least one node")
-            return None
-        built = [self.node(child, f"{path}[{i}]", below, depth + 1) for i, child in enumerate(value)]
-        children = [child for child in built if child is not None]
-        if len(children) < len(built):
-            return None
-        return _composite(lambda nodes: _COMPOSITES[kind](name, nodes), children)
+        children = self.children(kind, value, path, lambda child, place: self.node(child, place, below, depth + 1))
+        return _composite(lambda nodes: _COMPOSITES[kind](name, nodes), children) if children is not None else None
 
     def _leaf(self, kind: str, value: object, path: str, above: list[str], name: str | None) -> Build | None:
         """Return the builder of a leaf that evaluates messages."""

@@ -186,15 +186,8 @@ class _Loader(StepReader):
     # -- composites and decorators ----------------------------------------------------------------------------------
 
     def _composite(self, kind: str, value: object, path: str, depth: int) -> Make | None:
-        if not isinstance(value, list):
-            self.problem(path, f"found {found_text(value)}; {kind!r} must have a list of nodes")
-            return None
-        if not value:
-            self.problem(path, f"the list is empty; {kind} needs at least one node")
-            return None
-        made = [self.node(child, f"{path}[{i}]", depth + 1) for i, child in enumerate(value)]
-        children = [child for child in made if child is not None]
-        if len(children) < len(made):
+        children = self.children(kind, value, path, lambda child, place: self.node(child, place, depth + 1))
+        if children is None:
             return None
 
         def make(run: ProcedureRun, limits: Sequence[TimeLimit]) -> Behaviour:
