@@ -126,7 +126,7 @@ class Outputs:
             await asyncio.sleep(LOOK)
         return max(since, self._application.healthy_since[instance.uid])
 
-    def last_from_others(self, instance: Instance | None) -> tuple[float, str]:
+    def last_from_others(self, instance: Instance) -> tuple[float, str]:
         return 0.0, ""
 
     def period_of_others(self, instance: Instance) -> float:

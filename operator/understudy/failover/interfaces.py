@@ -229,8 +229,8 @@ class Outputs(Protocol):
         Returns None if no topic is expected, or no longer is.
         """
 
-    def last_from_others(self, instance: Instance | None) -> tuple[float, str]:
-        """Return when a sample of another instance (of any instance if None) last passed the gate, and from which pod.
+    def last_from_others(self, instance: Instance) -> tuple[float, str]:
+        """Return when a sample of another instance last passed the gate, and from which pod.
 
         The time is 0 if never.
         """

@@ -360,7 +360,7 @@ class _Outputs(_Part):
         await asyncio.sleep(PERIOD)
         return self.world.clock()
 
-    def last_from_others(self, instance: Instance | None) -> tuple[float, str]:
+    def last_from_others(self, instance: Instance) -> tuple[float, str]:
         leaks = [(self.world.last_leaked(leak), name) for name, leak in self.store.leaks.items()]
         if self.store.beside and (former := self.store.gate.recovery and self.store.gate.recovery.former):
             leaks.append((self.world.clock() - 10.0, former.name))

@@ -77,9 +77,8 @@ class ReflexOutputs(Outputs):
                 await self._robots.wait(self._workload)
         return first
 
-    def last_from_others(self, instance: Instance | None) -> tuple[float, str]:
-        uid = instance.uid if instance is not None else ""
-        others = [r for r in self._robots.running.values() if r.robot == self._workload and r.uid != uid]
+    def last_from_others(self, instance: Instance) -> tuple[float, str]:
+        others = [r for r in self._robots.running.values() if r.robot == self._workload and r.uid != instance.uid]
         lasts = [(last, r.name) for r in others if (last := self._reader.last(r.uid)) is not None]
         return max(lasts, default=(0.0, ""))
 

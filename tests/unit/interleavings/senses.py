@@ -183,14 +183,18 @@ class Outputs:
                 return CLOCK.of_system(first)
             await self._robots.wait(self._workload)
 
-    def _others(self, instance: Instance | None) -> Iterator[tuple[str, Running]]:
+    def _others(self, instance: Instance) -> Iterator[tuple[str, Running]]:
         self._drain()
         for name, sender in self._observer._senders.named().items():
             found = self._observer._at(sender.ip) if sender.attributed else None
-            if found is not None and (instance is None or name != instance.name):
+            if found is not None and name != instance.name:
                 yield name, found
 
-    def last_from_others(self, instance: Instance | None) -> tuple[float, str]:
+    def last_from_anybody(self) -> float:
+        self._drain()
+        return max((CLOCK.of_system(sender.last) for sender in self._observer.output_senders()), default=0.0)
+
+    def last_from_others(self, instance: Instance) -> tuple[float, str]:
         others, heard = self._others(instance), self._observer._last
         found = [(CLOCK.of_system(last), name) for name, other in others if (last := heard(other)) is not None]
         return max(found, default=(0.0, ""))

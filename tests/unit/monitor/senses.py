@@ -48,8 +48,11 @@ class NoOutputs(Outputs):
     async def first_from(self, instance: Instance, *, since: float) -> float | None:
         return None
 
-    def last_from_others(self, instance: Instance | None) -> tuple[float, str]:
+    def last_from_others(self, instance: Instance) -> tuple[float, str]:
         return 0.0, ""
+
+    def last_from_anybody(self) -> float:
+        return 0.0
 
     def period_of_others(self, instance: Instance) -> float:
         return 0.0

@@ -10,12 +10,12 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Sequence
+from typing import Protocol
 
 from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import Safety
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.clock import CLOCK
-from understudy.failover.interfaces import Outputs
 from understudy.failover.progress import Progress, beside
 from understudy.monitor.decide.pause_state import PauseState
 from understudy.monitor.observe.current_recovery import CurrentRecovery
@@ -33,9 +33,10 @@ CLOSED, OPENED, DRIVEN = "fenced", "committed", ("first_output", "verified")
 acknowledged commits."""
 
 HEARD_FOR = 0.25
-"""Seconds after a sample of any instance for which no safe command is sent, whatever the moments say.
+"""Seconds after a sample of anybody else for which no safe command is sent, whatever the moments say.
 
-The gate may have opened before the API server's answer arrives, or an instance may get through that should not.
+The gate may have opened before the API server's answer arrives, an instance may get through that should not, or another monitor may have
+replaced this one and put an instance in control that this one does not know.
 """
 
 
@@ -82,6 +83,13 @@ class Unattended:
     def driven(self) -> None:
         """Note that an instance is active and healthy."""
         self._since = None
+
+
+class Outputs(Protocol):
+    """What the robot receives on the outputs."""
+
+    def last_from_anybody(self) -> float:
+        """Return when a sample last arrived from anybody but this pod, by the process's clock; 0 if never."""
 
 
 class SafeCommands:
@@ -143,8 +151,8 @@ class SafeCommands:
             await asyncio.sleep(min(wait, period) if wait > 0 else 0)
 
     def _is_driven(self) -> bool:
-        """Whether an instance was heard a moment ago."""
-        return CLOCK.now() - self._outputs.last_from_others(None)[0] < HEARD_FOR
+        """Whether somebody else was heard a moment ago."""
+        return CLOCK.now() - self._outputs.last_from_anybody() < HEARD_FOR
 
     def _publish(self, commander: Commander, failing: bool) -> bool:
         """Publish once. Returns whether that failed. An error is not raised, because nobody else commands the robot and

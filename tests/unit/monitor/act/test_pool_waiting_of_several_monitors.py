@@ -249,7 +249,7 @@ class Monitor:
     def last(self, uid: str) -> float | None:
         return None
 
-    def last_from_others(self, instance: Instance | None) -> tuple[float, str]:
+    def last_from_others(self, instance: Instance) -> tuple[float, str]:
         return 0.0, ""
 
     def period_of_others(self, instance: Instance) -> float:

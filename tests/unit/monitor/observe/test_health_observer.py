@@ -150,9 +150,11 @@ async def test_samples_from_before_a_clock_step_are_as_old_as_they_are_for_a_rec
     objects.put_gate(GateState(epoch=4, active="w-1", active_uid="uid-1"))
     until(observer, lambda: observer.last_from("w-1"), each=lambda: said.publish(String()), instances=[sender])
     readers = observer.outputs(objects.pods, objects.gate)
-    last, _ = readers.last_from_others(None)
+    other = Instance("w-2", "uid-2")
+    last, _ = readers.last_from_others(other)
     set_clock(monkeypatch, step)
-    assert readers.last_from_others(None) == (pytest.approx(last, abs=0.01), "w-1")
+    assert readers.last_from_others(other) == (pytest.approx(last, abs=0.01), "w-1")
+    assert readers.last_from_anybody() == pytest.approx(last, abs=0.01)
     assert begun - 0.01 <= last <= CLOCK.now()
     async with asyncio.timeout(5):
         assert await readers.first_from(sender, since=begun - 0.01) == pytest.approx(last, abs=5)

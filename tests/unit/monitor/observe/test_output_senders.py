@@ -13,9 +13,11 @@ from std_msgs.msg import String
 
 from tests.unit.monitor.cluster_objects import ClusterObjects, parsed_spec
 from tests.unit.monitor.observed_robot import observing, own_address, policy_with, publisher, until
+from understudy.clock import CLOCK
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.pinned import PinnedPod
 from understudy.monitor.observe.robot.health_observer import HealthObserver
+from understudy.monitor.observe.robot.known_senders import host_at
 
 pytestmark = pytest.mark.ros
 
@@ -73,3 +75,16 @@ async def test_the_period_of_another_instance_is_that_of_its_samples(observer: H
     mean = (arrivals[-1] - arrivals[0]) / (len(arrivals) - 1)
     assert readers.period_of_others(active) == pytest.approx(mean)
     assert readers.period_of_others(former) == 0.0
+
+
+def test_a_sender_that_is_no_known_instance_prevents_safe_commands(observer: HealthObserver) -> None:
+    publisher(observer, "/beat", String)
+    arm, objects = publisher(observer, "/arm", Twist), ClusterObjects()
+    objects.put_gate(GateState(epoch=4))
+    observer.own_host = host_at("192.0.2.1")
+    readers, began = observer.outputs(objects.pods, objects.gate), CLOCK.now()
+    assert readers.last_from_anybody() == 0.0
+    until(observer, readers.last_from_anybody, each=lambda: arm.publish(Twist()))
+    assert began <= readers.last_from_anybody() <= CLOCK.now()
+    observer.own_host = host_at(own_address(observer))
+    assert readers.last_from_anybody() == 0.0, "what this pod sends does not count"

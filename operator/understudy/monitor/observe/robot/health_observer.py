@@ -11,7 +11,7 @@ from dataclasses import replace
 from understudy.api.kinds.failure_policy import FailurePolicySpec, Monitoring
 from understudy.api.kinds.robot_workload import Output, RobotWorkloadSpec
 from understudy.clock import CLOCK
-from understudy.failover.interfaces import Gate, Instance, Instances, Outputs
+from understudy.failover.interfaces import Gate, Instance, Instances
 from understudy.failover.pinned import PinnedPod
 from understudy.monitor.observe.objects.resource_meter import ResourceMeter
 from understudy.monitor.observe.robot.context_detection import ContextDetection, SituationState
@@ -61,7 +61,8 @@ class HealthObserver:
         self._asked: WatchedTopic | None = None
         """What trees need to know about the object of the active pod; None for nothing."""
         self._meter = meter
-        self._own_host = host_at(address)
+        self.own_host = host_at(address)
+        """What identifies this pod in GIDs; empty if its address does not tell."""
         self.addresses: dict[str, str] = {}
         """IPs by pod name, of the instances to which samples are attributed: those that exist or that are gone and may still send."""
 
@@ -220,7 +221,7 @@ class HealthObserver:
         found: list[OutputSender] = []
         for topic in dict.fromkeys(output.topic for output in self._outputs if output.topic):
             for host, record in self._watching.records(topic).items():
-                if record.last is None or host == self._own_host or time.time() - record.last > REMEMBERED:
+                if record.last is None or host == self.own_host or time.time() - record.last > REMEMBERED:
                     continue
                 senders = sorted(hosts.get(host, ()), key=lambda one: not one.listed)
                 name = senders[0].name if senders else self._nodes_at(host, topic)
@@ -266,7 +267,7 @@ class HealthObserver:
         own = self.graph.node.get_fully_qualified_name()
         for output in self._outputs:
             ends = [*self.graph.endpoints(output), *(self.graph.subscribers(output.topic) if output.topic else ())]
-            if any(end.node != own and MIDDLEWARE.host_of(end.gid) != self._own_host for end in ends):
+            if any(end.node != own and MIDDLEWARE.host_of(end.gid) != self.own_host for end in ends):
                 return True
         return False
 
@@ -312,7 +313,7 @@ class HealthObserver:
         """Return whether a pod's samples cannot be distinguished from those of another instance."""
         return any(pod in names for names in self._watching.sources.ambiguous)
 
-    def outputs(self, fleet: Instances, gate: Gate) -> Outputs:
+    def outputs(self, fleet: Instances, gate: Gate) -> GatedReaders:
         """Return the gated readers in the form that the failover protocol uses."""
         return GatedReaders(self, self._watching, fleet, gate)
 
@@ -351,20 +352,26 @@ class GatedReaders:
         record = self._watching.topic(topic)
         return record.last if record is not None and record.last is not None and record.last >= since else None
 
-    def last_from_others(self, instance: Instance | None) -> tuple[float, str]:
-        """Return when a sample of another instance (of any instance if None) last passed the gate, and from which pod.
-
-        The time is 0 if never.
-        """
+    def last_from_others(self, instance: Instance) -> tuple[float, str]:
+        """Return when a sample of another instance last passed the gate, and from which pod. The time is 0 if never."""
         self._drain()
-        name = instance.name if instance is not None else ""
-        found = [
-            last for topic in self._observer.gated if (last := self._watching.last_from_others(topic, name)) is not None
-        ]
+        topics, name = self._observer.gated, instance.name
+        found = [last for topic in topics if (last := self._watching.last_from_others(topic, name)) is not None]
         if not found:
             return 0.0, ""
         last_sample, pod = max(found)
         return CLOCK.of_system(last_sample), pod
+
+    def last_from_anybody(self) -> float:
+        """Return when a sample last arrived on an output from anybody but this pod; 0 if never.
+
+        A monitor that has lost the API server does not know each instance that drives. If this pod's own samples cannot be recognized,
+        because its address is an IPv6 address, only those of known instances count.
+        """
+        self._drain()
+        own_is_known = self._observer.own_host != b""
+        found = [one.last for one in self._observer.output_senders() if one.uid or own_is_known]
+        return CLOCK.of_system(max(found)) if found else 0.0
 
     def period_of_others(self, instance: Instance) -> float:
         """Return the longest usual time in seconds between two samples of another instance on one topic; 0 if none was heard of late."""
