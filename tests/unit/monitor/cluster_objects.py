@@ -14,6 +14,7 @@ from understudy.api.conditions import Condition
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.protocol.monitor_settings import WorkloadSettings
+from understudy.failover import pinned
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import Progress
 from understudy.kube.client import CONFIG_MAPS, PODS, POLICIES, WORKLOADS, Object
@@ -110,6 +111,7 @@ def gate_object(kind: GateKind, workload: str, state: GateState) -> Object:
         names.RECOVERY: state.recovery.model_dump_json() if state.recovery is not None else "",
         names.ADMITTED: state.admitted,
         names.ADMITTED_UID: state.admitted_uid,
+        names.LET_THROUGH: pinned.write(state.pinned),
     }
     return found
 

@@ -12,9 +12,10 @@ from tests.unit.monitor.monitors import GivenMonitor
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.pause_spec import Pause
 from understudy.failover.interfaces import GateState, Instance
+from understudy.failover.pinned import PinnedPod
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import REPLICA_SETS, ApiError
-from understudy.monitor.act.gate.gate_opening import ASK_AGAIN
+from understudy.monitor.act.gate.gate_opening import ASK_AGAIN, GateOpening
 
 ACTIVE = Instance(name="w-1", uid="uid-1", ip="10.0.0.1", running=True, ready=True)
 POLICY = FailurePolicySpec.model_validate(
@@ -81,6 +82,18 @@ async def test_opening_the_gate_after_a_failed_recovery_keeps_the_list_of_failed
     assert target == "w-1"
     assert progress is not None
     assert ([pod.name for pod in progress.failed], progress.result) == (["w-0"], "Failed"), "nobody continues it"
+
+
+async def test_opening_the_gate_for_another_instance_counts_the_last_driver_as_failed(tmp_path: Path) -> None:
+    # It may have failed just before the gate closed for a leak, when nobody had noticed that yet.
+    objects = GivenMonitor(tmp_path).objects
+    left = Progress.begin("it ended", last_healthy=0.0, detected=0.0, failed=[PodIdentity(name="w-0", uid="uid-0")])
+    pinned = tuple(PinnedPod(name=f"w-{number}", uid=f"uid-{number}", ip=f"10.0.0.{number}") for number in (3, 0))
+    objects.put_gate(GateState(epoch=4, recovery=left, pinned=pinned))
+    assert await GateOpening(objects.pods, objects.gate, objects.notices).open(ACTIVE)
+    ((target, progress),) = objects.commits
+    assert progress is not None
+    assert (target, [pod.name for pod in progress.failed]) == ("w-1", ["w-0", "w-3"])
 
 
 async def test_no_instance_is_activated_during_a_pause(tmp_path: Path) -> None:

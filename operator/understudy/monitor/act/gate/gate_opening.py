@@ -7,6 +7,7 @@ import logging
 
 from understudy.failover.abandoned import ended
 from understudy.failover.interfaces import Gate, Instance, Instances, Superseded
+from understudy.failover.progress import PodIdentity
 from understudy.kube.client import FAILURES
 from understudy.monitor.notices import Notices
 
@@ -25,10 +26,13 @@ class GateOpening:
 
     async def open(self, first: Instance) -> bool:
         """Open the gate for a pod; return whether it was opened."""
-        # The recovery that closed the gate has ended, but the other pods that failed in it still count as failed.
-        left = self._gate.state.recovery
+        # The recovery that closed the gate has ended, but the other pods that failed in it still count as failed. So does the one that
+        # drove last: it may have failed just before the gate closed for a leak.
+        state = self._gate.state
+        left = state.recovery
         if left is not None:
-            failed = [pod for pod in left.failed if pod.uid != first.uid]
+            last = [PodIdentity(name=pod.name, uid=pod.uid) for pod in state.pinned[:1] if not left.has_failed(pod.uid)]
+            failed = [pod for pod in (*left.failed, *last) if pod.uid != first.uid]
             left = ended(left).model_copy(update={"failed": failed})
         try:
             await self._gate.commit(first, left)
