@@ -88,7 +88,11 @@ def tracked(
     ``fenced`` has the time at which the gate stopped letting an instance through, by UID; ``let_through`` the UIDs of those it names.
     """
     found = {
-        key: one for key, one in before.items() if one.sign.uid not in let_through and 0 <= now - one.sign.last < MEMORY
+        key: one
+        for key, one in before.items()
+        if one.sign.uid not in let_through
+        and 0 <= now - one.sign.last < MEMORY
+        and fenced.get(one.sign.uid, 0.0) < one.sign.last
     }
     for sign in signs:
         if sign.uid in let_through or not fenced.get(sign.uid, 0.0) < sign.last <= now or now - sign.last >= MEMORY:
@@ -164,6 +168,8 @@ class SoleDriver:
         self._tracks: Tracks = {}
         self._fenced: dict[str, float] = {}
         self._through: frozenset[str] = frozenset()
+        self._names: frozenset[str] = frozenset()
+        """The names of those that the gate lets through: it selects pods by name."""
         self._updated = 0.0
         self._listening_since = time.monotonic()
         self.leaks: Sequence[Leak] = ()
@@ -203,8 +209,11 @@ class SoleDriver:
         is_other = through != self._through
         if is_other:
             self.rightful = "" if through else self.rightful
-            self._fenced |= dict.fromkeys(self._through - through, now)
-            self._through = through
+            names = frozenset(name for name in (state.active, state.admitted) if name)
+            # The successor of a pod that is gone may have its name, as in a StatefulSet, and was let through too.
+            was_let_through = self._through | {i.uid for i in instances if i.name in self._names - names}
+            self._fenced |= dict.fromkeys(was_let_through - through, now)
+            self._through, self._names = through, names
             known = {i.uid for i in instances} | {one.uid for one in self._outputs.known_senders()}
             self._fenced = {uid: at for uid, at in self._fenced.items() if uid not in through and uid in known}
         elif 0 <= now - self._updated < PERIOD:

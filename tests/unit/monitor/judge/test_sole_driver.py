@@ -157,6 +157,20 @@ def test_a_sender_that_may_be_the_active_instance_does_not_count() -> None:
     assert watched.condition[0] == "True"
 
 
+def test_a_successor_of_the_same_name_is_no_leak_after_the_gate_was_opened_for_another_instance() -> None:
+    # The gate lets instances through by name, and in a StatefulSet the next pod has the name of the one that is gone.
+    watched, successor = Watched(), Instance("w-2", "uid-next", ip="10.0.0.3", running=True)
+    watched.instances = (FORMER, successor)
+    watched.listen(topic="/cmd_vel", name="w-2", uid="uid-next", probes=True)
+    assert watched.condition[:2] == ("False", "SeveralDrivers"), "both drive until then"
+    watched.observer.heard = []
+    watched.objects.put_gate(GateState(epoch=5, active="w-1", active_uid="uid-w-1"))
+    watched.update()
+    assert not watched.judged.leaks
+    watched.listen(topic="/cmd_vel", name="w-2", uid="uid-next")
+    assert [(leak.uid, leak.is_former) for leak in watched.judged.leaks] == [("uid-next", True)]
+
+
 def test_an_admitted_standby_does_not_count() -> None:
     watched = Watched()
     state = GateState(epoch=4, active="w-2", active_uid="uid-w-2", admitted="w-1", admitted_uid="uid-w-1")
