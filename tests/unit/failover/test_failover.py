@@ -220,6 +220,17 @@ async def test_a_recovery_that_a_previous_monitor_started_is_not_held() -> None:
     assert done.result == "Recovered"
 
 
+async def test_a_standby_that_a_previous_monitor_only_chose_is_not_deleted_if_its_agent_does_not_answer() -> None:
+    store = protected(pool="hot")
+    store.pods["w-2"] = replace(store.pods["w-2"], ready=False)  # by its agent
+    world = World(store)
+    progress = failure(world)
+    progress.target = PodIdentity(name="w-2", uid="uid-w-2")
+    done = await recover(progress, choices(ExecutingFallback("hot"), Restart()), world.context())
+    assert (done.result, done.strategy) == ("Recovered", "Restart")
+    assert store.deleted == ["w-1"]
+
+
 async def test_an_outage_of_the_api_server_fails_no_standby() -> None:
     store = protected(pool="hot")
     world, store.away = World(store), True

@@ -71,6 +71,8 @@ class ExecutingFallback(Strategy):
         if target is None:
             candidates = self._candidates(context, progress)
             if not candidates:
+                if self.recovery is None:
+                    progress.target = None  # an earlier monitor had chosen it, and nothing was done to it
                 raise NotAvailable(self.available(context, progress) or "no standby is ready")
             if self.recovery is not None:
                 return await self._behind_the_gate(candidates, progress, context, within)
