@@ -126,11 +126,9 @@ class Invariants:
             if (driver := self._robots.running.get(before.active_uid)) is not None:
                 driver.harmed = True  # what a fenced one did counts
             at = self.failed.get(before.active_uid, 0.0)
-            left = recoveries.beside(after.recovery)
-            leaks = not after.active_uid and (left is None or left.result != "Running")
             if changed:
                 self._stale(before, after, _name(new))
-            noticed = not leaks and (self._robots.now - at >= GAP or before.active_uid in after.recovery)
+            noticed = self._robots.now - at >= GAP or before.active_uid in after.recovery
             if before.active_uid != after.active_uid and not noticed:
                 self.failed.pop(before.active_uid, None)  # control went elsewhere before anybody could know
         routed = self._routed(_name(new).removesuffix("-gate"), through)
@@ -142,10 +140,10 @@ class Invariants:
         found, recovery = self._robots.running.get(before.active_uid), recoveries.beside(after.recovery)
         if found is None or before.active_uid == after.active_uid or recovery is None or recovery.planned:
             return
+        if recovery.result != "Running":
+            return  # the gate closes for a leak, whoever is healthy
         if self._robots.clocks_differ:
             return
-        if [one.uid for one in recovery.failed] != [found.uid]:
-            return  # an understudy that was not verified in time is not judged again
         well_since, network = max(found.well_since, found.through_since), self._robots.network
         pod = self._server.get("pods", found.place)
         is_well = (
@@ -155,7 +153,7 @@ class Invariants:
             and well_since > recovery.moments.get("detected", 0.0)
         )
         lasts = self._robots.now - well_since
-        if is_well and lasts >= STALE and not network.weather.late and recovery.switchover is None:
+        if is_well and lasts >= STALE and not network.carries_late and recovery.switchover is None:
             self._broken(f"{gate} fences {found.name} for a failure, and it is healthy again for {lasts:.1f} s")
 
     def _named(self, record: GateRecord) -> tuple[str, ...]:

@@ -86,6 +86,8 @@ class Network:
         """Processes of whose writes every second one is refused for good, as by an API server that knows only a part of their roles."""
         self._waiting: dict[str, list[asyncio.Future[None]]] = {}
         self.outcomes: dict[str, int] = {}
+        self.carries_late = False
+        """Whether the request that the server carries out now was given up by its sender long ago."""
         self.half_open: dict[tuple[Process, str], float] = {}
         """Watches of processes over connections that are dead, by resource, and when the kernel gives such a connection up."""
 
@@ -199,11 +201,14 @@ class SimulatedClient(Client):
             result: Object | ApiError | Exception
             try:
                 known_version = network.remembered(path, params)
+                network.carries_late = fate == "late"
                 result = network.server.request(method, path, known_version, body, content_type, process.name)
             except ApiError as error:
                 result = error
                 if error.conflict:
                     network.count("conflict")
+            finally:
+                network.carries_late = False
             if method != "GET":
                 network.noted(f"{process}: {short}: {result if isinstance(result, ApiError) else 'done'}")
             if fate == "unanswered":

@@ -35,7 +35,7 @@ class Actions:
     def __init__(self, robots: Robots, found: Running) -> None:
         choices = robots.choices
         self.report = RestoreReport()
-        self._robots, self._fails = robots, choices.random() < robots.luck.failing
+        self._robots, self._found, self._fails = robots, found, choices.random() < robots.luck.failing
         found.harmed |= self._fails
         self._error = choices.random() < 0.5
         self._there_at = robots.loop.time() + 0.05 + 0.1 * choices.random()
@@ -45,7 +45,7 @@ class Actions:
         there = self._robots.loop.time() >= self._there_at
         if there and self._fails and self._error:
             raise RuntimeError("the node has crashed")
-        return there and not self._fails
+        return there and not self._fails and not self._found.frozen
 
 
 class PodAgent:

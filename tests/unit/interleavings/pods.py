@@ -37,6 +37,8 @@ class Running:
     sends_since: float = 0.0
     broken: bool = False
     """Whether it will never send."""
+    frozen: bool = False
+    """Whether its application stands still: no procedure finds anything there."""
     ended: bool = False
     up_at: float | None = None
     exists: bool = True

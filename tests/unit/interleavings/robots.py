@@ -13,7 +13,7 @@ from tests.unit.interleavings.apiserver import EPOCH, ApiServer, Place, stamp
 from tests.unit.interleavings.network import Network
 from tests.unit.interleavings.nodes import Nodes
 from tests.unit.interleavings.pod_agents import Commanded, PodAgent
-from tests.unit.interleavings.pods import REFERRED, Luck, Running
+from tests.unit.interleavings.pods import PERIOD, REFERRED, Luck, Running
 from tests.unit.interleavings.scheduling import Process, VirtualLoop
 from understudy.api import names
 from understudy.kube.apply import controller_of
@@ -202,16 +202,17 @@ class Robots:
             self.later(1.0, self._run, uid, place)
             return
         self._addresses += 1
+        node = self.choices.choice(places)
         found = Running(
             uid=uid,
             name=place[1],
             place=place,
-            node=self.choices.choice(places),
+            node=node,
             robot=labels.get(names.WORKLOAD) or labels.get(REFERRED, ""),
             held=labels.get(names.HELD) == "true",
             ip=f"10.0.{self._addresses // 250}.{self._addresses % 250 + 1}",
             broken=(broken := self.choices.random() < self.luck.broken),
-            harmed=broken,
+            harmed=broken or self.nodes.is_late(node),
             owner=labels.get(names.WORKLOAD, ""),
             secret=_secret(pod),
             phase=self.choices.random(),
@@ -235,7 +236,8 @@ class Robots:
 
     def _up(self, uid: str) -> None:
         found = self.running.get(uid)
-        if found is None or found.ended:
+        # A kubelet that has lost the API server cannot mount a pod's Secret, so it starts no new pod.
+        if found is None or found.ended or self._kubelet_waits(uid, self._up, uid):
             return
         found.up, found.up_at = True, self.now
         self.run_agent(uid)
@@ -348,7 +350,7 @@ class Robots:
         """Its application stops and to Kubernetes still runs."""
         found = self.running.get(uid)
         if found is not None:
-            found.broken = True
+            found.broken = found.frozen = True
             self._silence(found)
 
     def pause(self, uid: str) -> None:
@@ -371,8 +373,8 @@ class Robots:
         found = self.running.get(uid)
         if found is not None and not (found.broken or found.ended or found.sends) and found.up:
             self.noted(f"pod {found.name}: goes on")
-            found.sends = True
-            found.sends_since = found.well_since = self.now
+            found.sends, found.sends_since = True, self.now
+            found.well_since = self.now if found.period == PERIOD else math.inf
             self.route(found.robot)
             self.look(uid)
 
