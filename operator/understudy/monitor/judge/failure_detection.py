@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import Monitoring
 from understudy.api.kinds.robot_workload import DependencyRecovery
+from understudy.clock import CLOCK
 from understudy.failover.decide import Trigger
 from understudy.failover.interfaces import Gate, Instance, Instances
 from understudy.failover.reflex import ReflexSwitch
@@ -60,17 +61,27 @@ class FailureDetector:
         self._agents, self._observer = agents, observer
         self._driven_epoch = driven_epoch
         self._debounce = Debounce()
-        self.since = time.time()
+        self._since = CLOCK.now()
+        self._heard_from: float | None = None
+        """From when on an instance that had driven before can be heard, by the process's clock as ``_since``; None for any other one."""
+        self._expected_since = 0.0
+
+    @property
+    def since(self) -> float:
         """Since when the instance has been watched: messages from before do not count for it."""
+        return CLOCK.to_system(self._since)
 
     def watch(self) -> None:
         """Start to watch an instance that has just become active: messages from before do not count for it."""
-        self.since = time.time()
+        self._judge_since(CLOCK.now())
 
     def restart(self, since: float | None = None) -> None:
         """Judge the active instance by the messages received since a time (Unix seconds); by default, from now on."""
-        self.since = since if since is not None else time.time()
+        self._judge_since(CLOCK.of_system(since) if since is not None else CLOCK.now())
         self._debounce.clear()
+
+    def _judge_since(self, since: float) -> None:
+        self._since, self._heard_from = since, None
 
     def lost(self, active: Instance | None, now: float) -> tuple[Failure | None, float | None] | None:
         """Return the failure if the active pod is lost, or when to check again. None if the pod is not lost. Needs no health tree.
@@ -97,31 +108,32 @@ class FailureDetector:
 
     def verdict(self, active: Instance, now: float) -> Verdict:
         """Return the verdict of the active instance's health tree."""
-        # ``since`` can lie in the future if the clock was set back, or if it comes from another node's clock: then no
-        # message would count until that time.
-        self.since = min(self.since, now)
-        self._expect_samples(now)
-        verdict = self._observer.verdict(now=now, since=self.since)
-        if verdict.state == "Starting" and now - self.since > KNOWN_GRACE:
+        # ``since`` can lie in the future if it comes from another node's clock: then no message would count until that time.
+        self._since = min(self._since, CLOCK.now())
+        since = self.since
+        self._expect_samples(now, since)
+        verdict = self._observer.verdict(now=now, since=since)
+        if verdict.state == "Starting" and now - since > KNOWN_GRACE:
             # The instance is older than this monitor: the agent's report counts, not the startup grace.
             status = self._agents.status(active)
             if status is not None and status.ready_at is not None and not status.ready:
                 return Verdict("Failed", status.reason, verdict.leaf, status.ready_at)
         return verdict
 
-    def _expect_samples(self, now: float) -> None:
+    def _expect_samples(self, now: float, since: float) -> None:
         """Shorten the grace of an instance that had driven before this monitor started.
 
         Discovery takes a moment after the start, and the network of this monitor or of the robot may be down. So the time counts only
         once this monitor has discovered anybody else: a monitor that hears nobody knows nothing about the instance.
         """
-        if self._driven_epoch is None:
-            return
-        if self._driven_epoch != self._gate.state.epoch:
-            self._driven_epoch = None  # the gate was opened for another instance since, which is new
-        elif self._observer.hears_others():
-            self._driven_epoch = None
-            self._observer.expect_samples(since=self.since, heard_from=now)
+        if self._driven_epoch is not None:
+            if self._driven_epoch != self._gate.state.epoch:
+                self._driven_epoch = None  # the gate was opened for another instance since, which is new
+            elif self._observer.hears_others():
+                self._driven_epoch, self._heard_from = None, CLOCK.of_system(now)
+        if self._heard_from is not None and since != self._expected_since:  # now, and after the clock was set
+            self._expected_since = since
+            self._observer.expect_samples(since=since, heard_from=CLOCK.to_system(self._heard_from))
 
     def onset(self, pod: str, now: float) -> float:
         """Return when a pod was last seen to be healthy; ``now`` if it never was."""

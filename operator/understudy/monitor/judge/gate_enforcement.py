@@ -8,6 +8,7 @@ import time
 from collections.abc import Sequence
 from typing import Protocol
 
+from understudy.clock import CLOCK
 from understudy.failover.interfaces import Gate, Instance
 from understudy.kube.gates.base import Proof
 from understudy.monitor.notices import ConditionReport, Notices
@@ -99,7 +100,8 @@ class GateEnforcement:
 
     def __init__(self, gate: Gate, probes: Proof, notices: Notices, readers: Readers) -> None:
         self._gate, self._probes, self._notices, self._readers = gate, probes, notices, readers
-        self._changed = time.time()
+        self._changed = CLOCK.now()
+        """When the gate last let other pods through than before, by the process's clock."""
         self._let_through = ("", "")
 
     def update(self, now: float) -> None:
@@ -107,8 +109,7 @@ class GateEnforcement:
         state = self._gate.state
         if (state.active_uid, state.admitted_uid) != self._let_through:
             self._let_through = (state.active_uid, state.admitted_uid)
-            self._changed = now
-        self._changed = min(self._changed, now)  # the clock may have been set back
+            self._changed = CLOCK.of_system(now)
 
     def judge(self, instances: Sequence[Instance]) -> ConditionReport:
         """Judge the gate by the probes of these instances, and by the robot's readers."""
@@ -119,7 +120,7 @@ class GateEnforcement:
             state.active_uid,
             last,
             now=time.time(),
-            since=self._changed,
+            since=CLOCK.to_system(self._changed),
             admitted_uid=state.admitted_uid,
             leak_hint=self._probes.leak_hint,
             block_hint=self._probes.block_hint,

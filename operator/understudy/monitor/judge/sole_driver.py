@@ -13,6 +13,7 @@ from collections.abc import AsyncIterator, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
+from understudy.clock import ClockSteps
 from understudy.failover.interfaces import Gate, Instance, Instances
 from understudy.kube.gates.base import Proof
 from understudy.monitor.notices import ConditionReport, LeaksCounted, Notices
@@ -74,6 +75,10 @@ class Track:
     def is_heard(self, now: float) -> bool:
         """Whether the sender still reaches the robot."""
         return now - self.sign.last < max(QUIET, 2 * self.gap)
+
+    def moved(self, step: float) -> Track:
+        """Return this track after the clock was set by ``step`` seconds."""
+        return replace(self, sign=replace(self.sign, last=self.sign.last + step), first=self.first + step)
 
 
 Tracks = Mapping[tuple[str, str], Track]
@@ -171,6 +176,7 @@ class SoleDriver:
         self._names: frozenset[str] = frozenset()
         """The names of those that the gate lets through: it selects pods by name."""
         self._updated = 0.0
+        self._steps = ClockSteps()
         self._listening_since = time.monotonic()
         self.leaks: Sequence[Leak] = ()
         """The instances that reach the robot and are not let through."""
@@ -204,6 +210,7 @@ class SoleDriver:
 
     def track(self, instances: Sequence[Instance], now: float) -> bool:
         """Take the signs up to now, at most every PERIOD seconds. Returns whether the gate has changed."""
+        self._follow_clock()
         state = self._gate.state
         through = frozenset(uid for uid in (state.active_uid, state.admitted_uid) if uid)
         is_other = through != self._through
@@ -219,10 +226,16 @@ class SoleDriver:
         elif 0 <= now - self._updated < PERIOD:
             return False
         self._updated = now
-        self._fenced = {uid: min(at, now) for uid, at in self._fenced.items()}  # the clock may have been set back
         signs = self._signs(instances, now)
         self._tracks = tracked(self._tracks, signs, self._fenced, let_through=through, now=now)
         return is_other
+
+    def _follow_clock(self) -> None:
+        """Move all times if the clock was set."""
+        if step := self._steps.taken():
+            self._updated += step
+            self._fenced = {uid: at + step for uid, at in self._fenced.items()}
+            self._tracks = {key: one.moved(step) for key, one in self._tracks.items()}
 
     def _signs(self, instances: Sequence[Instance], now: float) -> list[Sign]:
         leaving = {i.uid for i in instances if i.terminating}

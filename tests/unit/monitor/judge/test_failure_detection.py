@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 
+from tests.support.clock import set_clock
 from tests.unit.monitor.cluster_objects import ClusterObjects
 from tests.unit.monitor.senses import GivenObserver, GivenSenses
 from understudy.api.kinds.failure_policy import Monitoring
@@ -80,8 +81,8 @@ def test_outputs_of_a_successor_with_the_same_name_do_not_keep_a_lost_pod_alive(
     assert (found[0] is not None) == lost
 
 
-def test_a_clock_that_is_set_back_does_not_delay_the_detection() -> None:
-    # The times of what was received are moved with the clock (ros/watching.py); the tree's grace is 30 s.
+def test_a_clock_that_is_set_back_does_not_delay_the_detection(monkeypatch: pytest.MonkeyPatch) -> None:
+    # The times of what was received are moved with the clock (ros/observe/topic_watch.py); the tree's grace is 30 s.
     monitoring = Monitoring.model_validate({"yaml": {"topic": {"name": "/cmd_vel", "gap": "500ms"}}})
     tree, record = load_monitoring(monitoring), TopicRecord()
     judging = detector(observer=Evaluating(tree, record))
@@ -89,13 +90,39 @@ def test_a_clock_that_is_set_back_does_not_delay_the_detection() -> None:
     tree.begin(before)
     record.add(before + 5)
     assert judging.verdict(ACTIVE, before + 5.1).state == "Healthy"
+    set_clock(monkeypatch, -3600.0)
     record.shift(-3600)
-    assert judging.verdict(ACTIVE, before - 3594.8).state == "Starting"
-    record.add(before - 3594.7)
-    assert judging.verdict(ACTIVE, before - 3594.6).state == "Healthy"
+    assert judging.verdict(ACTIVE, before - 3594.8).state == "Healthy"
     now = before - 3594
     assert judging.verdict(ACTIVE, now).state == "Failed"
     assert judging.counts_from(now, monitoring) == now
+
+
+@pytest.mark.parametrize("set_after", ["", "watch", "restart"])
+def test_a_clock_that_is_set_forward_does_not_end_the_startup_grace(
+    monkeypatch: pytest.MonkeyPatch, set_after: str
+) -> None:
+    """As by NTP, while the application starts: what it has not sent yet is no failure."""
+    monitoring = Monitoring.model_validate({"yaml": {"topic": {"name": "/cmd_vel", "gap": "500ms"}}})
+    tree = load_monitoring(monitoring)
+    judging = detector(observer=Evaluating(tree, TopicRecord()))
+    tree.begin(judging.since)
+    assert judging.verdict(ACTIVE, time.time()).state == "Starting"
+    set_clock(monkeypatch, 3600.0)
+    if set_after:
+        getattr(judging, set_after)()
+    assert judging.verdict(ACTIVE, time.time() + 29).state == "Starting"
+    assert judging.verdict(ACTIVE, time.time() + 31).state == "Failed"
+
+
+def test_an_instance_that_had_driven_before_is_expected_as_soon_also_if_the_clock_is_set(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    judging, _ = judging_silence({"gap": "500ms"}, driven_epoch=3)
+    assert judging.verdict(ACTIVE, time.time()).state == "Starting"
+    set_clock(monkeypatch, 3600.0)
+    assert judging.verdict(ACTIVE, time.time() + 4).state == "Starting"
+    assert judging.verdict(ACTIVE, time.time() + 6).state == "Failed"
 
 
 def test_a_debounce_is_not_prolonged_by_a_clock_that_is_set_back() -> None:
@@ -161,7 +188,6 @@ def test_a_new_monitor_that_hears_nobody_does_not_judge_silence_early() -> None:
 
 def test_an_instance_that_takes_over_from_one_that_had_driven_has_the_whole_startup_grace() -> None:
     judging, _ = judging_silence({"gap": "500ms"}, driven_epoch=3)
-    start = judging.since
-    judging.verdict(ACTIVE, start)
-    judging.restart(start + 1)
-    assert judging.verdict(ACTIVE, start + 30.9).state == "Starting"
+    judging.verdict(ACTIVE, judging.since)
+    judging.restart()
+    assert judging.verdict(ACTIVE, judging.since + 29.9).state == "Starting"

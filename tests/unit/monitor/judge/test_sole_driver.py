@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import pytest
+
+from tests.support.clock import set_clock
 from tests.unit.monitor.cluster_objects import ClusterObjects
 from tests.unit.monitor.senses import GivenObserver
 from understudy.failover.interfaces import GateState, Instance
@@ -101,6 +104,33 @@ def test_a_fenced_instance_that_goes_on_sending_makes_the_condition_false_until_
     assert [one.count for one in watched.notices.log if isinstance(one, LeaksCounted)] == [1]
     watched.update(QUIET)
     assert watched.condition[:2] == ("True", "NoOtherSender")
+
+
+@pytest.mark.parametrize("step", [10.0, -10.0])
+def test_a_clock_that_is_set_makes_no_leak_of_a_sample_that_was_in_flight(
+    monkeypatch: pytest.MonkeyPatch, step: float
+) -> None:
+    watched = Watched()
+    in_flight = watched.now + 0.05
+    for moved in (0.0, step):
+        if moved:
+            set_clock(monkeypatch, moved)
+        # What is received follows the clock (ros/observe/topic_watch.py).
+        watched.observer.heard = [OutputSender("/arm", "w-1", "uid-w-1", ("uid-w-1",), in_flight + moved)]
+        watched.update(2 * PERIOD + moved)
+    assert watched.condition[:2] == ("True", "NoOtherSender")
+    assert not watched.judged.leaks
+
+
+@pytest.mark.parametrize("step", [10.0, -10.0])
+def test_a_leak_lasts_also_if_the_clock_is_set(monkeypatch: pytest.MonkeyPatch, step: float) -> None:
+    watched = Watched()
+    watched.listen(topic="/arm")
+    set_clock(monkeypatch, step)
+    watched.now += step
+    watched.observer.heard = [OutputSender("/arm", "w-1", "uid-w-1", ("uid-w-1",), watched.now)]
+    watched.update()
+    assert watched.condition[:2] == ("False", "SeveralDrivers")
 
 
 def test_a_leak_during_a_recovery_is_known_as_soon_as_the_recovery_is_over() -> None:
