@@ -42,6 +42,9 @@ watched for (understudy.monitor.judge.sole_driver)."""
 SILENCE_CHECK_PERIOD = 0.010
 """Seconds between two checks whether another instance is heard."""
 
+DELETED_WITHIN = 2.0
+"""Seconds that the API server has to delete the pods that failed while another instance is to be verified."""
+
 SILENT_WITHIN = 5.0
 """Seconds after the first output of an instance within which every other one must be silent. A leak that lasts is not the fault of the
 instance, so it is not replaced."""
@@ -123,27 +126,28 @@ async def _in_its_time(progress: Progress, choice: Choice, context: StrategyCont
 
 @asynccontextmanager
 async def _answered_time(within: float, context: StrategyContext) -> AsyncIterator[None]:
-    """Limit the context to ``within`` seconds, not counting those in which the API server does not answer.
+    """Limit the context to ``within`` seconds in which the API server answers and this process runs.
 
     An outage of the control plane says nothing about an understudy. Raises TimeoutError.
     """
-    async with asyncio.timeout(within) as limit:
-        extending = asyncio.create_task(_extend_by_outages(limit, context))
+    async with asyncio.timeout(None) as limit:
+        charging = asyncio.create_task(_charge(limit, within, context))
         try:
             yield
         finally:
-            extending.cancel()
+            charging.cancel()
 
 
-async def _extend_by_outages(limit: asyncio.Timeout, context: StrategyContext) -> None:
+async def _charge(limit: asyncio.Timeout, within: float, context: StrategyContext) -> None:
     loop = asyncio.get_running_loop()
-    counted_until = loop.time()
-    while True:
-        await asyncio.sleep(OUTAGE_CHECK_PERIOD)
+    charged, counted_until = 0.0, loop.time()
+    while charged < within:
+        await asyncio.sleep(min(OUTAGE_CHECK_PERIOD, within - charged))
         since, now = context.gate.unanswered_since, loop.time()
-        if since is not None and (end := limit.when()) is not None:
-            limit.reschedule(end + now - max(since, counted_until))
+        answered = now - counted_until if since is None else max(0.0, since - counted_until)
+        charged += min(answered, 2 * OUTAGE_CHECK_PERIOD)  # a longer sleep means that the process was stalled
         counted_until = now
+    limit.reschedule(loop.time())
 
 
 async def _carry_out(progress: Progress, choice: Choice, context: StrategyContext) -> Instance:
@@ -255,11 +259,18 @@ def _last_sign(target: Instance, progress: Progress, context: StrategyContext) -
 
 
 async def _end(progress: Progress, context: StrategyContext) -> None:
-    """Delete the pods that failed, with the shortest grace period, because one of them still reaches the robot."""
-    await retire(progress, context)
-    for instance in context.instances.of_workload():
-        if progress.has_failed(instance.uid):
-            await context.instances.end(instance)
+    """Delete the pods that failed, with the shortest grace period, because one of them still reaches the robot.
+
+    An API server that refuses or does not answer is no fault of the instance that drives. The pods are deleted again after the recovery.
+    """
+    try:
+        async with asyncio.timeout(DELETED_WITHIN):
+            await retire(progress, context)
+            for instance in context.instances.of_workload():
+                if progress.has_failed(instance.uid):
+                    await context.instances.end(instance)
+    except Exception as error:  # whatever a request raises
+        _logger.warning("the pods that failed are not deleted yet: %r", error)
 
 
 async def retire(progress: Progress, context: StrategyContext) -> None:

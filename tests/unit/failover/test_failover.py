@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -239,6 +240,16 @@ async def test_an_outage_of_the_api_server_fails_no_standby() -> None:
     assert (done.result, done.strategy) == ("Recovered", "Fallback/Executing")
     assert [(attempt.pod, attempt.result) for attempt in done.attempts] == [("w-2", "Verified")]
     assert (store.commits, store.deleted) == (["w-2"], ["w-1"])
+
+
+async def test_time_in_which_the_monitor_is_stalled_fails_no_standby() -> None:
+    store = protected(pool="hot")
+    store.broken.add("w-2")
+    world, loop = World(store), asyncio.get_running_loop()
+    loop.call_later(0.02, time.sleep, 2 * VERIFY_WITHIN)
+    loop.call_later(2 * VERIFY_WITHIN + 0.1, store.broken.clear)
+    done = await recover(failure(world), choices(ExecutingFallback("hot"), Restart()), world.context())
+    assert [(attempt.pod, attempt.result) for attempt in done.attempts] == [("w-2", "Verified")]
 
 
 async def test_a_strategy_has_its_whole_time_again_after_an_outage_and_no_more() -> None:

@@ -45,6 +45,15 @@ async def test_a_pod_that_is_heard_while_a_slow_api_server_deletes_it_is_not_sil
     assert done.moments["verified"] >= began + 0.58 + SILENCE_MARGIN
 
 
+async def test_a_deletion_without_an_answer_does_not_fail_the_instance_that_drives() -> None:
+    store = protected(pool="hot")
+    world = World(store)
+    store.leaks["w-1"], store.unanswered_deletions = Leak(0.02, world.clock(), until=world.clock() + 0.1), 1
+    done = await _recovered(store, world)
+    assert [(a.pod, a.result) for a in done.attempts] == [("w-2", "Verified")]
+    assert (store.commits, store.deleted) == (["w-2"], ["w-1"]), "it is deleted again at the end"
+
+
 async def test_probes_of_a_fenced_pod_that_pass_are_a_leak_too() -> None:
     store = protected(pool="hot")
     world = World(store)

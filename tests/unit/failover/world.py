@@ -47,6 +47,8 @@ class Store:
     deleted: list[str] = field(default_factory=list)
     deletion_takes: float = 0.0
     """Seconds until the API server answers."""
+    unanswered_deletions: int = 0
+    """How many deletions the API server does not answer."""
     gave_way: list[str] = field(default_factory=list)
     followed: set[str] = field(default_factory=set)
     """Pods whose agents a connection was asked for."""
@@ -233,6 +235,9 @@ class _Instances(_Part):
 
     async def retire(self, instance: Instance) -> None:
         self.world.effect()
+        if self.store.unanswered_deletions:
+            self.store.unanswered_deletions -= 1
+            raise TimeoutError
         self.store.pods.pop(instance.name, None)
         self.store.deleted.append(instance.name)
         if self.store.deletion_takes:
