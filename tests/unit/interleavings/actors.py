@@ -121,6 +121,12 @@ class Monitor:
         if self.current.progress is not None:
             self.recovered_at = now
 
+    @property
+    def is_hindered(self) -> bool:
+        """Whether something keeps it from acting, or it pauses between two recoveries because no strategy was verified."""
+        waits = self.notices is not None and self.notices.status.reason("Recovering") == "NothingVerified"
+        return self.cut_off_at == self._robots.now or waits
+
     def says(self) -> Says | None:
         """What it says of its robot; None while it has just begun."""
         if self.notices is None:

@@ -11,6 +11,7 @@ from tests.unit.interleavings.drivers import Drivers
 from tests.unit.interleavings.pods import Running
 from tests.unit.interleavings.robots import Robots
 from tests.unit.interleavings.senses import GAP
+from tests.unit.interleavings.undriven import Undriven
 from understudy.api import names
 from understudy.api.kinds.robot_workload import RobotWorkloadStatus
 from understudy.controller.observed import kube_objects, leaving_nodes
@@ -54,6 +55,7 @@ class Invariants:
         self.drivers = Drivers(
             lambda: robots.now, broken, self._heard, lambda found: not robots.nodes.is_forgotten(found.node)
         )
+        self.undriven = Undriven(lambda: robots.now, broken)
         for (_, name), gate in server.items["networkpolicies"].items():
             if name.endswith("-gate"):
                 self.commands.see(name.removesuffix("-gate"), GateRecord.of(gate))

@@ -11,10 +11,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from tests.unit.interleavings.initial_objects import create
+from tests.unit.interleavings.invariants import leaving
 from tests.unit.interleavings.scenes import SCENES, Outcome, Scene
 from tests.unit.interleavings.simulated_cluster import Base
 from tests.unit.interleavings.troubles import Troubles
+from tests.unit.interleavings.undriven import longest
 from tests.unit.interleavings.virtual_time import in_virtual_time
+from understudy.api.kinds.failure_policy import FailurePolicySpec
 
 REPLICAS = ("a", "b")
 """Of the operator."""
@@ -79,6 +82,32 @@ class Simulation(Troubles):
         for workload in self.invariants.drivers.doubly:
             says = [one for m in self.monitors if m.workload == workload and (one := m.says()) is not None]
             self.invariants.drivers.look(workload, says)
+        if not self.scene.reflex:  # which has a closer look (reflexinvariants.py)
+            for workload in self.workloads:
+                able = self._able(workload) if self._is_unhindered(workload) else []
+                self.invariants.undriven.look(workload, able, self._longest)
+
+    @functools.cached_property
+    def _longest(self) -> float:
+        (policy,) = self.server.items["failurepolicies"].values()
+        return longest(FailurePolicySpec.model_validate(policy["spec"]))
+
+    def _is_unhindered(self, workload: str) -> bool:
+        """Whether a workload has one monitor, which can do all that it should."""
+        monitors, network = [m for m in self.monitors if m.workload == workload], self.network
+        return (
+            len(monitors) == 1
+            and not monitors[0].is_hindered
+            and not (network.cut_off or network.apart or network.half_open or self._stalled or self.robots.nodes.lags)
+        )
+
+    def _able(self, workload: str) -> list[str]:
+        """The instances that could drive a robot; empty if somebody does."""
+        mine = [found for found in self.robots.running.values() if found.robot == workload and found.exists]
+        if any(found.through for found in mine):
+            return []
+        pods = {pod["metadata"]["uid"]: pod for pod in self.server.items["pods"].values()}
+        return [r.name for r in mine if r.stands_by and r.uid in pods and not leaving(pods[r.uid])]
 
     def _mistaken(self) -> Iterator[str]:
         """What processes take to be so, and isn't."""

@@ -34,6 +34,7 @@ from understudy.kube.leader_election import Lease
 from understudy.monitor.act import safe_commands
 from understudy.monitor.act.gate.leak_response import LeakResponse
 from understudy.monitor.act.instances.garbage_collection import GarbageCollection
+from understudy.monitor.act.objects import gate_control
 from understudy.monitor.act.objects.gate_control import GateControl
 from understudy.monitor.act.recovery.abandonment import Abandonment
 from understudy.monitor.judge import sole_driver
@@ -184,6 +185,11 @@ def test_a_stale_decision_that_fences_a_healthy_instance_is_detected() -> None:
 def test_the_deletion_of_an_understudy_that_never_failed_is_detected() -> None:
     with mock.patch.object(GateControl, "unanswered_since", None):
         assert found("has never failed", EXECUTING, "api_server_is_away", weather=0.0)
+
+
+def test_a_robot_that_nobody_drives_long_after_an_outage_is_detected() -> None:
+    with mock.patch.multiple(gate_control, RETRY_FIRST=200.0, RETRY_MOST=200.0):
+        assert found("nobody drives", EXECUTING, "api_server_is_away", weather=0.0, first=5)
 
 
 def test_a_half_open_watch_that_is_never_given_up_is_detected() -> None:
