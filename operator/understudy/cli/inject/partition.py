@@ -167,12 +167,16 @@ def _follow(kubectl: Kubectl, pod: str, name: str, length: float, where: str) ->
     """Print when the pod is cut off and when it is connected again, as the container reports it. Raises CommandError."""
     command = kubectl.command("logs", "--follow", pod, "-c", name)
     # Ctrl-C must reach this process only, which still has to undo the fault.
-    with subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True) as running:
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True) as running:
         started: dict[str, Any] = {}
         try:
             started = _next_report(pod, running, PATIENCE) or {}
             if not started:
-                raise CommandError(_not_cut_off(pod, ""))
+                # A recovery may delete the pod before its log is read.
+                if kubectl.find("pods", pod) is None:
+                    print(f"{pod}: the pod was deleted while container {name} ran; the fault ended with it", flush=True)
+                    return
+                raise CommandError(_not_cut_off(pod, _errors(running)))
             print(f"{pod}: container {name} cut it off from {where}, for {length:g} s", flush=True)
             ended = _next_report(pod, running, length + PATIENCE)
         except KeyboardInterrupt:
@@ -192,6 +196,13 @@ def _follow(kubectl: Kubectl, pod: str, name: str, length: float, where: str) ->
     lasted = ended["back"] - started["cut"]
     early = ", because the container was stopped" if lasted < length - _EARLY else ""
     print(f"{pod}: it is connected again after {lasted:.1f} s{early}", flush=True)
+
+
+def _errors(running: subprocess.Popen[bytes]) -> str:
+    """End kubectl and return its error messages."""
+    assert running.stderr is not None, "it is a pipe"
+    running.terminate()
+    return running.stderr.read().decode(errors="replace")
 
 
 def _next_report(pod: str, running: subprocess.Popen[bytes], within: float) -> dict[str, Any] | None:

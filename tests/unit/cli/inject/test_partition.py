@@ -111,8 +111,8 @@ class Cluster:
         return found
 
 
-@pytest.fixture
-def cluster(stand: FakeKubectl, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Cluster:
+def protected() -> list[dict[str, Any]]:
+    """A workload, its monitor's pod, and its namespace."""
     item = fleet.well()
     monitor = next(one for one in fleet.around(item) if one["metadata"]["name"] == f"{ROBOT}-monitor-1")
     monitor |= {
@@ -121,7 +121,12 @@ def cluster(stand: FakeKubectl, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         },
         "status": {"podIPs": [{"ip": "10.91.0.3"}, {"ip": "fd00::3"}]},
     }
-    stand.tell([item, monitor, ALLOWED])
+    return [item, monitor, ALLOWED]
+
+
+@pytest.fixture
+def cluster(stand: FakeKubectl, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Cluster:
+    stand.tell(protected())
     (tmp_path / "cluster").mkdir()
     made = Cluster(tmp_path / "cluster", tmp_path / "kubectl")
     monkeypatch.setenv("PATH", str(tmp_path / "cluster"), prepend=":")
@@ -196,6 +201,17 @@ def test_an_error_of_the_container_is_reported(cluster: Cluster, capsys: pytest.
     cluster.tell(state={"terminated": {"exitCode": 1, "message": "the node's kernel does not support it\n"}})
     assert inject.main([ROBOT, "partition", "--yes"]) == 2
     assert_golden("inject", capsys.readouterr().err, "not cut off")
+
+
+def test_a_pod_that_a_recovery_deletes_before_its_log_is_read_was_cut_off(
+    cluster: Cluster, stand: FakeKubectl, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cluster.tell(inside=["sh", "-c", "exit 1"])
+    assert inject.main([ROBOT, "partition", "--yes"]) == 0
+    assert_golden("inject", without_id(capsys.readouterr().out), "deleted")
+    stand.tell([*protected(), {"kind": "Pod", "metadata": {"name": fleet.well()["status"]["active"]}}])
+    assert inject.main([ROBOT, "partition", "--yes"]) == 2
+    assert "was not cut off: its container ended without a message" in capsys.readouterr().err
 
 
 def test_a_container_that_does_not_start_is_reported_and_cuts_nothing_later(
