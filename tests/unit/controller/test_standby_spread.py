@@ -154,6 +154,16 @@ class TestPoolStandbys:
         made.now = NOW + standby_spread.REST_SECONDS + 1.0
         assert len(now(made, marked)[0]) == 1
 
+    def test_a_replacement_that_no_node_accepts_does_not_count_after_the_replaced_standby_is_gone(self) -> None:
+        made = world()
+        stuck = standby(made, "", "w-t", ready=False, age=200.0, annotations={names.REPLACES: "uid-w-s"})
+        assert now(made, standby(made, "a"), stuck)[0] == []
+        (new,), gone = now(made, stuck)
+        assert (apart(new), gone) == ([], []), "it may be beside the active instance"
+        third = {"name": "w-u", "annotations": {names.REPLACES: "uid-w-t"}}
+        assert now(made, stuck, standby(made, "a", ready=False, **third)) == ([], [])
+        assert now(made, stuck, standby(made, "a", **third)) == ([], ["w-t"])
+
 
 class TestOwnPod:
     """The pod of the workload's own controller waits in place of the standby that is active."""

@@ -71,6 +71,7 @@ def keep(made: Plan, observed: Observed, workload_plan: WorkloadPlan, pool: str,
         renewal = _renewed(observed, workload_plan, pool, mine, want, found.move)
         want, spared = want + renewal.extra, _spared(observed, pool)
         made.writes += [Delete(PODS, pod) for pod in renewal.going]
+    stranded = [pod for pod in mine if standby_spread.stranded(pod, observed)]
     change = pod_counts.change(
         mine,
         want=want,
@@ -78,11 +79,11 @@ def keep(made: Plan, observed: Observed, workload_plan: WorkloadPlan, pool: str,
         expected=observed.expected.get(pool, 0),
         now=observed.now,
         kept=lambda pod: kube_objects.is_active(pod, gate),
-        moving=lambda pod: pod is found.move or leaving_nodes.on(pod, observed.leaving),
+        moving=lambda pod: pod is found.move or pod in stranded or leaving_nodes.on(pod, observed.leaving),
         hold=_held(observed),
         spared=spared,
     )
-    replaced = found.move or renewal.moving
+    replaced = found.move or renewal.moving or next(iter(stranded), None)
     notes = {names.REPLACES: kube_objects.uid(replaced)} if replaced is not None else {}
     for _ in range(change.create):
         name, namespace = fresh.name(kube_objects.name(workload)), workload["metadata"]["namespace"]

@@ -67,6 +67,13 @@ def spread(observed: Observed, template: Object, built: Object, standbys: Sequen
     return Spread(move=beside[0])
 
 
+def stranded(pod: Object, observed: Observed) -> bool:
+    """Whether a replacement has no node, and the pod that it was to replace is gone. It is no standby, and may never become one."""
+    replaced = kube_objects.notes(pod).get(names.REPLACES)
+    is_waiting = replaced is not None and not leaving_nodes.of(pod)
+    return is_waiting and all(kube_objects.uid(other) != replaced for other in observed.pods)
+
+
 def _first_to_go(pod: Object) -> tuple[bool, bool, float, str]:
     return not _of_pool(pod), kube_objects.ready(pod), *kube_objects.sort_key(pod)
 
