@@ -13,7 +13,7 @@ from aiohttp import web
 from understudy.kube.client import PODS, Access, ApiError, Client
 from understudy.kube.warm_connections import keep_warm
 
-IDLE = 0.3  # seconds
+IDLE = 0.6  # seconds; a busy machine delays what keeps connections open
 
 
 class Server:
@@ -56,7 +56,7 @@ async def server() -> AsyncIterator[Server]:
 
 @contextlib.asynccontextmanager
 async def warmed(client: Client) -> AsyncIterator[None]:
-    task = asyncio.create_task(keep_warm(client, 2, every=IDLE / 3))
+    task = asyncio.create_task(keep_warm(client, 2, every=IDLE / 6))
     try:
         yield
     finally:
