@@ -117,7 +117,9 @@ class FailureDetector:
             # The instance is older than this monitor: the agent's report counts, not the startup grace.
             status = self._agents.status(active)
             if status is not None and status.ready_at is not None and not status.ready:
-                return Verdict("Failed", status.reason, verdict.leaf, status.ready_at)
+                # It may have been heard before ``since``, as before a recovery that was given up.
+                onset = max(status.ready_at, self._observer.last_well(active.name) or 0.0)
+                return Verdict("Failed", status.reason, verdict.leaf, onset)
         return verdict
 
     def _expect_samples(self, now: float, since: float) -> None:

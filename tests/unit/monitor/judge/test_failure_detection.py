@@ -11,8 +11,9 @@ from tests.support.clock import set_clock
 from tests.unit.monitor.cluster_objects import ClusterObjects
 from tests.unit.monitor.senses import GivenObserver, GivenSenses
 from understudy.api.kinds.failure_policy import Monitoring
+from understudy.api.protocol.agent_messages import AgentStatus
 from understudy.failover.interfaces import GateState, Instance
-from understudy.monitor.judge.failure_detection import FailureDetector
+from understudy.monitor.judge.failure_detection import KNOWN_GRACE, FailureDetector
 from understudy.trees.core.health_tree import HealthTree, Verdict
 from understudy.trees.core.observations import RecordedObservations, TopicRecord
 from understudy.trees.languages.notations import load_monitoring
@@ -25,12 +26,14 @@ def detector(
     last_output: float | None = None,
     observer: GivenObserver | None = None,
     driven_epoch: int | None = None,
+    status: AgentStatus | None = None,
 ) -> FailureDetector:
     objects = ClusterObjects()
     objects.put_pods(*instances)
     objects.put_gate(GateState(epoch=3, active="w-1", active_uid="uid-1"))
     senses = GivenSenses(objects, observer)
     senses.observer.received_at = {"w-1": last_output} if last_output is not None else {}
+    senses.agents.statuses = {"uid-1": status} if status is not None else {}
     return FailureDetector(objects.pods, objects.gate, senses.agents, senses.observer, driven_epoch)
 
 
@@ -191,3 +194,18 @@ def test_an_instance_that_takes_over_from_one_that_had_driven_has_the_whole_star
     judging.verdict(ACTIVE, judging.since)
     judging.restart()
     assert judging.verdict(ACTIVE, judging.since + 29.9).state == "Starting"
+
+
+@pytest.mark.parametrize(("last_output", "onset"), [(None, 900.0), (950.0, 950.0), (850.0, 900.0)])
+def test_a_failure_that_an_agent_reports_begins_with_the_last_sign_of_health(
+    last_output: float | None, onset: float
+) -> None:
+    """Else state is restored from before the instance drove: after a recovery that was given up, only later messages count."""
+    now = time.time()
+    shift = now - 1000.0
+    status = AgentStatus("Running", ready_at=900.0 + shift, reason="its outputs are not healthy")
+    judging = detector(ACTIVE, last_output=last_output + shift if last_output is not None else None, status=status)
+    judging.restart(now - 2 * KNOWN_GRACE)
+    found = judging.verdict(ACTIVE, now).onset
+    assert found is not None
+    assert found - shift == pytest.approx(onset, abs=0.01)
