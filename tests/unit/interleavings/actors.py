@@ -13,10 +13,12 @@ import aiohttp
 from tests.unit.interleavings.apiserver import ApiServer
 from tests.unit.interleavings.blanks import BlackBox, Keeping, RobotReaders
 from tests.unit.interleavings.drivers import Says
+from tests.unit.interleavings.kept_states import KeptStates
 from tests.unit.interleavings.network import Network, SimulatedClient
 from tests.unit.interleavings.robots import Robots
 from tests.unit.interleavings.scheduling import Killed, Process
 from tests.unit.interleavings.senses import HealthObserver, Probes
+from tests.unit.interleavings.state_managers import ModelStateManager, Samples
 from understudy.api import names
 from understudy.controller.plan import Images
 from understudy.controller.reconcile.executor import Executor
@@ -33,6 +35,7 @@ from understudy.kube.client import NETWORK_POLICIES, NODES, PODS, ApiError, Clie
 from understudy.kube.events import Recorder
 from understudy.kube.gates.base import GateRecord
 from understudy.kube.leader_election import LeadershipLost, Lease, Timing
+from understudy.monitor.act.instances.state_manager import StateManager
 from understudy.monitor.act.objects.cluster import Cluster
 from understudy.monitor.act.objects.gate_control import GateControl
 from understudy.monitor.act.objects.pod_control import PodControl
@@ -98,8 +101,10 @@ class Monitor:
         journal: Path,
         kill: Callable[[Process], None],
         broken: Callable[[str], None],
+        states: KeptStates | None = None,
     ) -> None:
-        """``kill`` kills a process; ``broken`` is called with what doesn't hold."""
+        """``kill`` kills a process; ``broken`` is called with what doesn't hold. Without ``states``, no state is kept."""
+        self._states = states
         self.process, self.workload = process, workload
         self._broken, self._gate = broken, cast("Object | None", None)
         self._network, self._robots, self._journal = network, robots, journal
@@ -145,6 +150,12 @@ class Monitor:
     def _make_agents(self, client: Client, view: ClusterView, roles: InstanceRoles) -> AgentConnections:
         return AgentConnections(client, view, self.workload, self.fuse, roles, self.wakeups)
 
+    def _make_state_manager(self, agents: AgentConnections, notices: Notices) -> StateManager:
+        if self._states is None:
+            return cast(StateManager, Keeping())
+        samples = Samples(self.process, self._robots, self.workload)
+        return ModelStateManager(samples, self._states, self.workload, self._journal.with_suffix(""), agents, notices)
+
     def _make_observer(self) -> HealthObserver:
         return HealthObserver(self.process, self._robots, self.workload, self._look_at_gate)
 
@@ -170,7 +181,7 @@ class Monitor:
             parts = Parts(
                 cluster=Cluster(view, fleet, gate),
                 senses=Senses(observer, agents, probes, cast(Any, RobotReaders()), roles, self.wakeups),
-                state_manager=cast(Any, Keeping()),
+                state_manager=self._make_state_manager(agents, notices),
                 journal=RecoveryJournal(Journal(self._journal), self.fuse),
                 black_box=cast(Any, BlackBox()),
                 notices=notices,

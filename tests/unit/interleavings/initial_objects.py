@@ -5,6 +5,7 @@ from __future__ import annotations
 from tests.unit.controller import world
 from tests.unit.interleavings.actors import NAMESPACE
 from tests.unit.interleavings.apiserver import ApiServer
+from tests.unit.interleavings.kept_states import KEPT
 from tests.unit.interleavings.pods import REFERRED
 from tests.unit.interleavings.scenes import ROBOTS, Scene
 from understudy.kube.client import Object
@@ -20,6 +21,8 @@ def create(scene: Scene, server: ApiServer) -> None:
     if scene.safely:
         command = {"topic": "/cmd_vel", "message": {"linear": {"x": 0.0}}, "every": "250ms"}
         items[0]["spec"]["safety"] = {"commands": [command]}
+    if scene.keeps:
+        items[0]["spec"]["state"] = KEPT.model_dump(by_alias=True, mode="json", exclude_unset=True)
     if scene.spares:
         updates = {"updateStrategy": dict(scene.updates)} if scene.updates else {}
         pool = world.spare(replicas=scene.spares, **updates)

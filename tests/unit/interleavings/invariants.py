@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from tests.unit.interleavings.apiserver import ApiServer
 from tests.unit.interleavings.commands import Commands
 from tests.unit.interleavings.drivers import Drivers
+from tests.unit.interleavings.kept_states import KeptStates
 from tests.unit.interleavings.pods import Running
 from tests.unit.interleavings.robots import Robots
 from tests.unit.interleavings.senses import GAP
@@ -55,6 +56,7 @@ class Invariants:
         self.drivers = Drivers(
             lambda: robots.now, broken, self._heard, lambda found: not robots.nodes.is_forgotten(found.node)
         )
+        self.kept_states = KeptStates(broken)
         self.undriven = Undriven(lambda: robots.now, broken)
         for (_, name), gate in server.items["networkpolicies"].items():
             if name.endswith("-gate"):

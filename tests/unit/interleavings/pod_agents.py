@@ -181,7 +181,7 @@ class PodAgent:
         return
 
     async def _restore(self, body: Mapping[str, Any], peer: Peer) -> Mapping[str, Any]:
-        KeptState.from_wire(body.get("state") or {})
+        self._robots.restored(self._found, KeptState.from_wire(body.get("state") or {}))
         return {"report": RestoreReport().to_wire()}
 
     async def _configure(self, body: Mapping[str, Any], peer: Peer) -> None:

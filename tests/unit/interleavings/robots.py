@@ -16,6 +16,7 @@ from tests.unit.interleavings.pod_agents import Commanded, PodAgent
 from tests.unit.interleavings.pods import PERIOD, REFERRED, Luck, Running
 from tests.unit.interleavings.scheduling import Process, VirtualLoop
 from understudy.api import names
+from understudy.api.protocol.kept_state import KeptState
 from understudy.kube.apply import controller_of
 from understudy.kube.client import Object
 from understudy.kube.gates.kinds.network_policy import GATE
@@ -51,6 +52,8 @@ class Robots:
     commanded: Commanded = lambda found, op, epoch, by: None
     commanded_safely: Callable[[str], None] = lambda robot: None
     """Called with each safe command that a robot receives."""
+    restored: Callable[[Running, KeptState], None] = lambda found, state: None
+    """Called with the state that an agent is given to restore."""
     started: Callable[[str, Running], None] = lambda workload, found: None
     """Called when a workload's monitor starts the held processes of a pod."""
     places: Callable[[], Sequence[str]] = lambda: NODES

@@ -33,6 +33,8 @@ class Scene:
     """How bad the network may be."""
     safely: bool = False
     """Whether robots receive safe commands while nobody drives."""
+    keeps: bool = False
+    """Whether the state of applications is kept."""
     reflex: str = ""
     """The deadline of the robots' readers; no reflex where it is empty."""
 
@@ -43,7 +45,7 @@ class Scene:
 
 SCENES = (
     Scene("shared", workloads=3, strategies=("spare", "Restart"), spares=2),
-    Scene("scarce", workloads=2, strategies=("spare", "Restart"), spares=1),
+    Scene("scarce", workloads=2, strategies=("spare", "Restart"), spares=1, keeps=True),
     Scene("executing", workloads=2, strategies=("hot", "Restart"), standbys=1, safely=True),
     Scene("initialized", workloads=2, strategies=("hot", "Restart"), standbys=1, initializes=True),
     Scene("referred", workloads=2, strategies=("hot", "spare", "Restart"), spares=1, standbys=1, refers="Deployment"),

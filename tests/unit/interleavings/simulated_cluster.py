@@ -18,6 +18,7 @@ from tests.unit.interleavings.robots import Robots
 from tests.unit.interleavings.scenes import Outcome, Scene
 from tests.unit.interleavings.scheduling import Killed, Process, VirtualLoop
 from understudy.kube.client import Object
+from understudy.state import state_store
 
 
 @dataclass
@@ -49,6 +50,7 @@ class SimulatedCluster:
         self.robots.changed = self._output_received
         self.robots.started = lambda workload, found: self.invariants.started(workload, found.uid, found.place)
         self.invariants = self._make_invariants()
+        self.robots.restored = self.invariants.kept_states.given
         self.robots.commanded = self.invariants.commands.carried_out
         self.robots.commanded_safely = self.invariants.drivers.commanded_safely
         self.server.changed = self._written
@@ -81,11 +83,12 @@ class SimulatedCluster:
             journal,
             self.kill,
             self._broken,
+            self.invariants.kept_states if self.scene.keeps else None,
         )
 
     def patches(self) -> Iterator[tuple[Any, str, Any]]:
         """What else has to be so for the time of the run: targets, attributes and their values."""
-        yield from ()
+        yield state_store, "_BOOT", Path("/nonexistent")  # this machine's clock is not the run's
 
     @property
     def workloads(self) -> list[str]:

@@ -42,6 +42,8 @@ from understudy.monitor.judge.reassessment import Reassessment
 from understudy.monitor.judge.sole_driver import SoleDriver
 from understudy.monitor.observe import agent_connections
 from understudy.monitor.report.status_writer import StatusWriter
+from understudy.state.state_capture import Version, _Item
+from understudy.state.state_store import StateStore
 
 RUNS, CHUNK = 90, 18
 """The short share; seeds from 100,000 on, which scripts/bench doesn't run by itself."""
@@ -139,7 +141,7 @@ def test_a_claim_with_a_lost_answer_that_counts_as_refused_is_detected() -> None
         mock.patch.object(claims, "_unanswered", return_value=False),
         mock.patch.object(GarbageCollection, "housekeeping"),
     ):
-        assert found("nobody deletes it", SHARED, "all_fail", weather=3.0)
+        assert found("nobody deletes it", SHARED, "all_fail", weather=3.0, first=3)
 
 
 def test_the_deletion_of_a_claimed_pod_is_detected() -> None:
@@ -147,7 +149,7 @@ def test_the_deletion_of_a_claimed_pod_is_detected() -> None:
         await client.delete(resource, item["metadata"]["namespace"], item["metadata"]["name"])
 
     with mock.patch.object(apply, "delete_exactly", careless):
-        assert found("which is claimed", SHARED, "all_fail", "pool_is_resized")
+        assert found("which is claimed", SHARED, "all_fail", "pool_is_resized", first=7)
 
 
 def test_a_status_that_a_dead_monitor_overwrites_is_detected() -> None:
@@ -161,7 +163,7 @@ FALLS_BEHIND = ("node_is_forgotten", "node_is_deaf")
 
 def test_a_status_that_says_healthy_while_two_instances_drive_is_detected() -> None:
     with mock.patch.object(SoleDriver, "track", return_value=False):
-        assert found("is Healthy, and", EXECUTING, *FALLS_BEHIND, weather=0.0)
+        assert found("is Healthy, and", EXECUTING, *FALLS_BEHIND, weather=0.0, first=11)
 
 
 def test_a_recovery_that_is_recorded_while_another_instance_drives_is_detected() -> None:
@@ -170,7 +172,7 @@ def test_a_recovery_that_is_recorded_while_another_instance_drives_is_detected()
         progress.moments["verified"] = context.clock()
 
     with mock.patch.object(protocol, "alone", careless):
-        assert found("as Recovered, and", EXECUTING, *FALLS_BEHIND, weather=0.0)
+        assert found("as Recovered, and", EXECUTING, *FALLS_BEHIND, weather=0.0, first=11)
 
 
 def test_a_stale_decision_that_fences_a_healthy_instance_is_detected() -> None:
@@ -184,7 +186,7 @@ def test_a_stale_decision_that_fences_a_healthy_instance_is_detected() -> None:
 
 def test_the_deletion_of_an_understudy_that_never_failed_is_detected() -> None:
     with mock.patch.object(GateControl, "unanswered_since", None):
-        assert found("has never failed", EXECUTING, "api_server_is_away", weather=0.0)
+        assert found("has never failed", EXECUTING, "api_server_is_away", weather=0.0, first=4)
 
 
 def test_a_robot_that_nobody_drives_long_after_an_outage_is_detected() -> None:
@@ -192,9 +194,22 @@ def test_a_robot_that_nobody_drives_long_after_an_outage_is_detected() -> None:
         assert found("nobody drives", EXECUTING, "api_server_is_away", weather=0.0, first=5)
 
 
+def test_restored_state_that_is_older_than_what_was_kept_is_detected() -> None:
+    def oldest(self: _Item, moment: float) -> Version | None:
+        return next((version for version in self.versions if version.good_from <= moment), None)
+
+    with mock.patch.object(_Item, "before", oldest):
+        assert found("older than what was kept", SCARCE, "all_fail", "one_fails", weather=0.0)
+
+
+def test_kept_state_that_a_new_monitor_does_not_find_is_detected() -> None:
+    with mock.patch.object(StateStore, "save"):
+        assert found("is restored, and some was kept", SCARCE, "monitor_dies", "all_fail", weather=0.0, first=1)
+
+
 def test_a_half_open_watch_that_is_never_given_up_is_detected() -> None:
     with mock.patch.object(network, "GIVEN_UP", math.inf):
-        assert found("knows version", EXECUTING, "monitor_watch_is_half_open", "one_fails", weather=0.0)
+        assert found("knows version", EXECUTING, "monitor_watch_is_half_open", "one_fails", weather=0.0, first=6)
 
 
 def test_a_second_driver_of_which_no_condition_says_anything_is_detected() -> None:
@@ -220,7 +235,7 @@ def test_safe_commands_over_an_instance_that_drives_are_detected() -> None:
 
 def test_a_recovery_that_stays_at_the_gate_for_ever_is_detected() -> None:
     with mock.patch.object(Abandonment, "update"):
-        assert found("as though it were under way", EXECUTING, "second_monitor", "all_fail")
+        assert found("as though it were under way", EXECUTING, "second_monitor", "all_fail", first=1)
 
 
 def test_an_operator_that_continues_while_another_one_leads_is_detected() -> None:

@@ -1,0 +1,53 @@
+"""What must hold of the state that monitors keep of applications."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from tests.unit.interleavings.pods import Running
+from understudy.api.base import seconds
+from understudy.api.kinds.state_spec import KeptTopic, State
+from understudy.api.protocol.kept_state import KeptState
+from understudy.monitor.act.instances.state_manager import LEAST_READ_PERIOD, PERSIST
+from understudy.monitor.loop import SLOW
+
+KEPT = State(keep=[KeptTopic(topic="/progress", type="std_msgs/msg/String", restore_to="/resume")])
+"""An application publishes its progress with each of its samples: the time at which it was sent."""
+
+INTERVAL = seconds(KEPT.margin) + seconds(KEPT.period) + LEAST_READ_PERIOD + PERSIST + SLOW
+"""Maximum age in seconds of restored state, compared with the newest that was kept. Newer state may be wrong already, and is not on the
+disk yet if the monitor was replaced."""
+
+
+class KeptStates:
+    """What a recovery restores is never older than what its monitor had kept, beyond the interval of keeping."""
+
+    def __init__(self, broken: Callable[[str], None]) -> None:
+        self._broken = broken
+        self._newest: dict[Path, float] = {}
+        """By a monitor's folder, when (Unix seconds) the newest state was sent that was kept there."""
+        self._selected_from: dict[str, Path] = {}
+        """By workload, the folder of the monitor that selected state last."""
+        self.restored = 0
+
+    def kept(self, folder: Path, sent: float) -> None:
+        """A monitor has kept state that an application sent at a time."""
+        self._newest[folder] = max(sent, self._newest.get(folder, 0.0))
+
+    def selected(self, workload: str, folder: Path, state: KeptState, onset: float) -> None:
+        """A monitor has selected state to restore after a failure that began at a time (Unix seconds)."""
+        self._selected_from[workload] = folder
+        age = onset - self._newest.get(folder, 0.0)
+        if not state.samples and INTERVAL < age < seconds(KEPT.keep[0].max_age):
+            self._broken(f"no state of {workload} is restored, and some was kept {age:.1f} s before the failure")
+
+    def given(self, found: Running, state: KeptState) -> None:
+        """An instance is given state."""
+        newest = self._newest.get(self._selected_from[found.robot], 0.0)
+        for sample in state.samples:
+            self.restored += 1
+            if (older := newest - float(sample.data)) > INTERVAL:
+                self._broken(
+                    f"{found.name} is given state that is {older:.1f} s older than what was kept of {found.robot}"
+                )
