@@ -5,6 +5,8 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
+import pytest
+
 from tests.e2e.kubectl import Kubectl, Object
 from tests.e2e.scenario import Robot, eventually, manifest, never
 from tests.e2e.test_strategies import assert_handed_over
@@ -48,6 +50,7 @@ def available(kubectl: Kubectl) -> Object:
     return next(c for c in conditions if c["type"] == "Available")
 
 
+@pytest.mark.long
 def test_two_workloads_claiming_the_last_pod_have_one_owner(kubectl: Kubectl) -> None:
     kubectl.apply(manifest("strategies/uninitialized.yaml"))
     robots = [Robot(kubectl, name) for name in ("robot-1", "robot-2")]
@@ -80,6 +83,7 @@ def test_two_workloads_claiming_the_last_pod_have_one_owner(kubectl: Kubectl) ->
     )
 
 
+@pytest.mark.long
 def test_a_workload_that_finds_the_pool_empty_waits_for_the_next_pod(kubectl: Kubectl) -> None:
     kubectl.apply(waiting("120s"))
     robots = [Robot(kubectl, name) for name in ("robot-1", "robot-2")]
