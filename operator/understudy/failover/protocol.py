@@ -32,6 +32,9 @@ LOST_CHECK_PERIOD = 0.1
 OUTAGE_CHECK_PERIOD = 0.05
 """Seconds between two checks of whether the API server answers."""
 
+CLOCK_RESOLUTION = 0.001
+"""Seconds that the clock distinguishes at least."""
+
 SILENCE_MARGIN = 0.100
 """Seconds that nobody else must be heard besides one of the others' periods, before an instance counts as the only one that drives."""
 
@@ -141,8 +144,8 @@ async def _answered_time(within: float, context: StrategyContext) -> AsyncIterat
 async def _charge(limit: asyncio.Timeout, within: float, context: StrategyContext) -> None:
     loop = asyncio.get_running_loop()
     charged, counted_until = 0.0, loop.time()
-    while charged < within:
-        await asyncio.sleep(min(OUTAGE_CHECK_PERIOD, within - charged))
+    while (left := within - charged) > CLOCK_RESOLUTION:  # a shorter sleep may pass without any time
+        await asyncio.sleep(min(OUTAGE_CHECK_PERIOD, left))
         since, now = context.gate.unanswered_since, loop.time()
         answered = now - counted_until if since is None else max(0.0, since - counted_until)
         charged += min(answered, 2 * OUTAGE_CHECK_PERIOD)  # a longer sleep means that the process was stalled
