@@ -56,7 +56,7 @@ class Invariants:
         self.drivers = Drivers(
             lambda: robots.now, broken, self._heard, lambda found: not robots.nodes.is_forgotten(found.node)
         )
-        self.kept_states = KeptStates(broken)
+        self.kept_states = KeptStates(lambda text: None if robots.clocks_differ else broken(text))
         self.undriven = Undriven(lambda: robots.now, broken)
         for (_, name), gate in server.items["networkpolicies"].items():
             if name.endswith("-gate"):

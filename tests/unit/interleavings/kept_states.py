@@ -25,26 +25,29 @@ class KeptStates:
 
     def __init__(self, broken: Callable[[str], None]) -> None:
         self._broken = broken
-        self._newest: dict[Path, float] = {}
-        """By a monitor's folder, when (Unix seconds) the newest state was sent that was kept there."""
-        self._selected_from: dict[str, Path] = {}
-        """By workload, the folder of the monitor that selected state last."""
+        self._kept: dict[Path, list[float]] = {}
+        """By a monitor's folder, when (Unix seconds) the states were sent that were kept there."""
+        self._expected: dict[str, float] = {}
+        """By workload, when the newest state was sent that its monitor could select last. None may have been kept for a while before."""
         self.restored = 0
 
     def kept(self, folder: Path, sent: float) -> None:
         """A monitor has kept state that an application sent at a time."""
-        self._newest[folder] = max(sent, self._newest.get(folder, 0.0))
+        known = self._kept.setdefault(folder, [0.0])
+        if sent > known[-1]:
+            known.append(sent)
 
     def selected(self, workload: str, folder: Path, state: KeptState, onset: float) -> None:
         """A monitor has selected state to restore after a failure that began at a time (Unix seconds)."""
-        self._selected_from[workload] = folder
-        age = onset - self._newest.get(folder, 0.0)
+        safe = onset - seconds(KEPT.margin)
+        self._expected[workload] = max((sent for sent in self._kept.get(folder, []) if sent <= safe), default=0.0)
+        age = onset - self._expected[workload]
         if not state.samples and INTERVAL < age < seconds(KEPT.keep[0].max_age):
             self._broken(f"no state of {workload} is restored, and some was kept {age:.1f} s before the failure")
 
     def given(self, found: Running, state: KeptState) -> None:
         """An instance is given state."""
-        newest = self._newest.get(self._selected_from[found.robot], 0.0)
+        newest = self._expected[found.robot]
         for sample in state.samples:
             self.restored += 1
             if (older := newest - float(sample.data)) > INTERVAL:
