@@ -55,7 +55,7 @@ def run(kubeconfig: Path, namespace: str, options: argparse.Namespace) -> int:
     finally:
         _whole(kubectl)
         kubectl("delete", "namespace", namespace, "--wait=false")
-    report = summarize(injected, judgements, aftermath, settled_within=SETTLE)
+    report = summarize(options.seed, injected, judgements, aftermath, settled_within=SETTLE)
     command = f"--faults {options.faults} --seed {options.seed} --robots {options.robots} --every {options.every:g}"
     only = f" --only {' '.join(options.only)}" if options.only else ""
     report.note("campaign", f"scripts/bench chaos {command} --timeout {options.timeout:g}{only}")

@@ -33,10 +33,15 @@ class Aftermath:
 
 
 def summarize(
-    injected: Sequence[Injected], judgements: Sequence[Judgement], aftermath: Aftermath, *, settled_within: float
+    seed: int,
+    injected: Sequence[Injected],
+    judgements: Sequence[Judgement],
+    aftermath: Aftermath,
+    *,
+    settled_within: float,
 ) -> Report:
-    """Return the report of a campaign."""
-    report = Report("chaos")
+    """Return the report of a campaign. Each seed has a file of results."""
+    report = Report(f"chaos-{seed}")
     violations = [violation for judgement in judgements for violation in judgement.violations]
     made = [one for one in injected if not one.refused]
     report.figure("faults that were made", [len(made)], unit="faults")

@@ -26,7 +26,7 @@ def judgement() -> Judgement:
 
 
 def test_a_campaign_without_violations_holds() -> None:
-    report = summarize(FAULTS, [Judgement("executing-1"), Judgement("restart-2")], WELL, settled_within=120)
+    report = summarize(1, FAULTS, [Judgement("executing-1"), Judgement("restart-2")], WELL, settled_within=120)
     assert report.held
     figures = report.json()["figures"]
     assert figures["faults that were made"]["values"] == [3]
@@ -35,7 +35,7 @@ def test_a_campaign_without_violations_holds() -> None:
 
 
 def test_each_violation_is_a_figure_and_a_note_with_the_faults_near_it() -> None:
-    report = summarize(FAULTS, [judgement()], WELL, settled_within=120)
+    report = summarize(1, FAULTS, [judgement()], WELL, settled_within=120)
     assert not report.held
     found = report.json()
     missed = {name for name, figure in found["figures"].items() if figure.get("held") is False}
@@ -47,7 +47,7 @@ def test_each_violation_is_a_figure_and_a_note_with_the_faults_near_it() -> None
 
 def test_what_is_left_after_the_last_fault_counts() -> None:
     left = Aftermath(125.0, ["restart-2: Failed"], ["pod-9"], {"monitor (7)": 30.0}, {"InvalidHandle: x (agent)": 3})
-    found = summarize(FAULTS, [Judgement("restart-2")], left, settled_within=120).json()
+    found = summarize(1, FAULTS, [Judgement("restart-2")], left, settled_within=120).json()
     missed = {name for name, figure in found["figures"].items() if figure.get("held") is False}
     after = "all healthy and protected after the last fault"
     assert missed == {after, "leaked pods", "growth of a process", "tracebacks"}
