@@ -32,6 +32,14 @@ def quantile(values: Sequence[float], fraction: float) -> float:
     return [min(values), *cuts, max(values)][round(100 * fraction)]
 
 
+def columns(rows: Sequence[Sequence[str]]) -> str:
+    """Return a table of words, the first row of which is the head."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return "\n".join(
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
+    )
+
+
 @dataclass
 class Figure:
     """One quantity, measured several times."""

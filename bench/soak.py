@@ -1,28 +1,40 @@
-"""Checks whether the monitor ever raises a false alarm while nothing fails and all cores are busy.
+"""Checks whether the monitor ever raises a false alarm, and whether a robot is ever switched to another instance, while
+nothing fails and all cores are busy.
 
-    scripts/bench soak [--minutes 30]
+    scripts/bench soak [--minutes 30] [--deadline 100] [--neighbours 0]
 
-A robot at work (bench/leaves.py) is judged by 20 leaves as in the monitor, and the bench causes no failure.
-Meanwhile one process per core computes without a pause, at the same priority as all others. The robot's processes
-compete for the processor like all others, and each records when it sent which message. If the message of an alarm
-was late by its sender's own clock, the sender was starved and the alarm is true. The bench counts such alarms
-separately, with the sender's record.
+The bench causes no failure. One process per core computes without a pause, at the same priority as all others.
+
+A robot at work (bench/leaves.py) is judged by 20 leaves as in the monitor. Its processes compete for the processor
+like all others, and each records when it sent which message. If the message of an alarm was late by its sender's own
+clock, the sender was starved and the alarm is true. The bench counts such alarms separately, with the sender's record.
+
+Two robots on the cluster have an executing standby. One is recovered by the monitor after a gap of 500 ms, the other
+has a reflex too. From the log of commands that each robot keeps, the bench counts how often its reader switched to
+another instance, how often an instance was replaced, and the longest gap of each minute.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
+import os
+import signal
 import sys
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
-from bench.leaves import LEAVES, at_work, await_grace, kinds, senders_fault, topics, traffic
+from bench.driven import Row, add_driven, crowd, driven, on_cluster, robots_table
+from bench.leaves import LEAVES, OUTPUTS, at_work, await_grace, kinds, senders_fault, topics, traffic
 from bench.load import Load
+from bench.recovery import TIMEOUT, enforcer
 from bench.results import Report
 from bench.roles import Role
+from tests.e2e.kubectl import Failed
+from tests.e2e.scenario import Late, eventually
 
 LOOK = 5.0
 """Seconds between two requests for what was received, of which the last 10 s are kept."""
@@ -109,30 +121,66 @@ def limits(topic: str) -> str:
     return ", ".join(found)
 
 
-def main() -> None:
+def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--minutes", type=float, default=30.0)
+    parser.add_argument("--deadline", type=int, default=100, help="spec.gate.reflex.deadline in milliseconds")
+    parser.add_argument(
+        "--neighbours",
+        type=int,
+        default=0,
+        help="pods on each node that compute without a pause: the processes outside compete with the whole cluster",
+    )
     options = parser.parse_args()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # whoever ends it, the pods must end too
     report = Report("soak")
-    with at_work() as roles, Load() as load:
-        await_grace(roles["ours"])
-        soak = Soak(roles)
-        soak.begin()
-        whole = math.ceil(options.minutes)
-        for number in range(whole):
-            soak.minute(60.0 * min(1.0, options.minutes - number))
-            gap = max(soak.gaps, key=lambda topic: soak.gaps[topic][-1])
-            print(
-                f"minute {number + 1}/{whole}: {len(soak.false)} false alarms, {len(soak.true)} true ones, looks late by "
-                f"{soak.late[-1]:.1f} ms at most and by {soak.waited[-1]:.1f} ms after a message, "
-                f"worst gap {soak.gaps[gap][-1]:.0f} ms of {gap}, {soak.memory[-1]:.1f} MB, "
-                f"cores {load.busy():.0f} % busy",
-                flush=True,
-            )
-        soak.end()
-        loaded = load.note()
-    report.figure("false alarms", [len(soak.false)], unit=f"in {options.minutes:g} min", must={"max": 0})
-    report.figure("true alarms: a sender was starved", [len(soak.true)], unit=f"in {options.minutes:g} min")
+    policies = enforcer()  # not later, because the cores are busy then
+    whole = math.ceil(options.minutes)
+    with on_cluster(Path(os.environ["KUBECONFIG"]), {"gap": None, "reflex": options.deadline}) as robots:
+        crowd(robots["gap"].kubectl, options.neighbours)
+        with at_work() as roles, Load() as load:
+            await_grace(roles["ours"])
+            soak, begun, armed = Soak(roles), time.time(), dict.fromkeys(robots, 0)
+            soak.begin()
+            for number in range(whole):
+                soak.minute(60.0 * min(1.0, options.minutes - number))
+                for name, robot in robots.items():
+                    armed[name] += robot.armed()
+                gap = max(soak.gaps, key=lambda topic: soak.gaps[topic][-1])
+                print(
+                    f"minute {number + 1}/{whole}: {len(soak.false)} false alarms, {len(soak.true)} true ones, looks late by "
+                    f"{soak.late[-1]:.1f} ms at most and by {soak.waited[-1]:.1f} ms after a message, "
+                    f"worst gap {soak.gaps[gap][-1]:.0f} ms of {gap}, {soak.memory[-1]:.1f} MB, "
+                    f"cores {load.busy():.0f} % busy",
+                    flush=True,
+                )
+            soak.end()
+            loaded = load.note()
+        # Not earlier, because kubectl would take processor time from the robots.
+        logs = {name: eventually(robot.log, within=120, what=f"the log of {name}") for name, robot in robots.items()}
+        recorded = {name: robot.recoveries() for name, robot in robots.items()}
+    add_leaves(report, soak, options.minutes)
+    rows = [Row("20 leaves (alarms)", len(soak.false) + len(soak.true), soak.gaps[OUTPUTS[0]["topic"]])]
+    labels = {"gap": f"{1000 * TIMEOUT:g} ms gap", "reflex": f"{options.deadline} ms reflex"}
+    for name, label in labels.items():
+        found = driven(logs[name], begun, begun + 60 * options.minutes)
+        most = max(1, int(options.minutes / 60)) if name == "reflex" else 0
+        add_driven(report, label, found, recorded[name], begun, most=most)
+        report.note(f"{label}: a standby could take over", f"at the end of {armed[name]} of {whole} minutes")
+        gaps = [1000 * gap for gap in found.gaps]
+        rows.append(Row(label, found.recoveries, gaps, switches=found.switches, armed=armed[name]))
+    report.note("load", f"{loaded}; {options.neighbours} pods on each node")
+    report.note("network policies", policies)
+    print(report.table())
+    print(f"\n{robots_table(rows)}\n")
+    print(report.write())
+    return 0 if report.held else 1
+
+
+def add_leaves(report: Report, soak: Soak, minutes: float) -> None:
+    """Add what the judge of 20 leaves found."""
+    report.figure("false alarms", [len(soak.false)], unit=f"in {minutes:g} min", must={"max": 0})
+    report.figure("true alarms: a sender was starved", [len(soak.true)], unit=f"in {minutes:g} min")
     report.figure("verdicts", [soak.verdicts], unit="")
     report.figure("failed verdicts put off after a stall of the monitor", [soak.doubted], unit="")
     report.figure("looks after they were due, most of each minute", soak.late, unit="ms")
@@ -151,17 +199,16 @@ def main() -> None:
     report.figure("memory, each minute", soak.memory, unit="MB")
     report.figure("memory grown", [soak.memory[-1] - soak.memory[0]], unit="MB")
     report.figure("CPU of the monitor's process, each minute", soak.cpu, unit="milli-CPU")
-    report.note("load", loaded)
     report.note("looks", f"the bench's own questions, every {LOOK:g} s, make one late by some ms")
     report.note("tree", f"{kinds()}; on {len(topics())} topics")
     report.note("traffic", traffic())
     for name, alarms in (("false alarm", soak.false), ("true alarm", soak.true)):
         for number, text in enumerate(alarms):
             report.note(f"{name} {number + 1}", text)
-    print(report.table())
-    print(report.write())
-    sys.exit(0 if report.held else 1)
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        sys.exit(main())
+    except (Failed, Late) as error:
+        sys.exit(str(error).partition(". ")[0])

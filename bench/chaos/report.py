@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from bench.chaos.judge import Injected, Judgement, Violation
 from bench.chaos.plan import BY_NAME
-from bench.results import Report
+from bench.results import Report, columns
 
 SHOWN = 60
 """Violations that the file of results has in words."""
@@ -132,10 +132,7 @@ def kinds_table(injected: Sequence[Injected], judgements: Sequence[Judgement]) -
     for name, row in by_kind(injected, judgements).items():
         what = ", ".join(f"{count} {text}" for text, count in row.near.most_common())
         rows.append([name, str(row.made), str(row.refused), str(sum(row.near.values())), str(row.alone), what])
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    return "\n".join(
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
-    )
+    return columns(rows)
 
 
 def described(violation: Violation, injected: Sequence[Injected]) -> str:
