@@ -116,6 +116,7 @@ def test_a_degraded_workload_is_reported_and_resized_in_place_without_a_failover
     eventually(lambda: {"Degraded", "WellAgain"} <= cell.said(), within=30, what="both are Events", note=cell.describe)
 
 
+@pytest.mark.long
 def test_a_degraded_workload_is_handed_over_only_while_it_is_idle(kubectl: Kubectl) -> None:
     cell = Degrading(kubectl, {"reschedule": {"after": "3s", "idleFor": "3s"}})
     first = cell.wait_well()

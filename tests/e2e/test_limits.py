@@ -84,6 +84,7 @@ def test_a_spent_budget_leads_to_safe_commands_until_somebody_resumes(
     assert robot.wait_driven() == again.new
 
 
+@pytest.mark.long
 def test_the_budget_is_available_again_after_its_window(kubectl: Kubectl) -> None:
     robot = executing_with(kubectl, limits={"budget": {"recoveries": 1, "within": "30s"}})
     first = robot.wait_protected()

@@ -39,6 +39,7 @@ def killed_at_every_step(robot: Robot, strategy: str) -> None:
     pytest.fail(f"more than {MOST_STEPS} steps")
 
 
+@pytest.mark.long
 @pytest.mark.own_robot  # after a recovery, the monitor that follows a killed one may take a failure for a relapse
 def test_an_executing_fallback_survives_the_monitors_death_at_every_step(executing: Robot) -> None:
     killed_at_every_step(executing, "Fallback/Executing")

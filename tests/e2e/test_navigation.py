@@ -97,7 +97,7 @@ def test_all_goals_are_reached_though_the_stack_is_lost_twice(
 @pytest.mark.parametrize(
     ("number", "node", "missed"),
     [
-        pytest.param("STOP", "controller_server", "/cmd_vel", id="controller silent"),
+        pytest.param("STOP", "controller_server", "/cmd_vel", id="controller silent", marks=pytest.mark.long),
         pytest.param("KILL", "amcl", "/amcl_pose|/cmd_vel", id="localization dead", marks=pytest.mark.long),
     ],
 )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from tests.e2e.kubectl import Kubectl, Object
 from tests.e2e.scenario import CONTAINER, Robot, eventually, manifest, patient
 from tests.e2e.test_strategies import assert_handed_over
@@ -22,6 +24,7 @@ def restarts(robot: Robot, pod: str) -> int:
     return sum(status["restartCount"] for status in statuses if status["name"] == CONTAINER)
 
 
+@pytest.mark.long
 def test_one_restart_is_allowed_and_the_next_is_one_too_many(kubectl: Kubectl) -> None:
     robot = Robot(kubectl)
     kubectl.apply(looking_at({"restarts": 1, "window": "10m"}))

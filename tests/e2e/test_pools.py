@@ -85,6 +85,7 @@ def test_a_rollout_of_a_new_template_keeps_the_configured_number_of_pods_ready(r
     assert_handed_over(robot, recovery)
 
 
+@pytest.mark.long
 def test_on_replenish_a_pod_of_the_old_template_takes_over_and_the_next_is_of_the_new_one(robot: Robot) -> None:
     kubectl = robot.kubectl
     old = protect(robot, updateStrategy={"type": "OnReplenish"})

@@ -137,6 +137,7 @@ def test_of_two_that_wait_for_a_pod_the_more_critical_is_served_first(kubectl: K
     eventually(lambda: available(kubectl)["status"] == "True", within=60, what="the pool is filled and nobody waits")
 
 
+@pytest.mark.long
 def test_a_workload_that_waited_for_waitfor_is_restarted(kubectl: Kubectl) -> None:
     kubectl.apply(waiting("3s"))
     robot = Robot(kubectl)

@@ -92,6 +92,7 @@ def test_a_thawed_pod_cannot_take_the_robot_back(executing: Robot) -> None:
     assert_handed_over(executing, recovery)
 
 
+@pytest.mark.long
 def test_one_failure_after_another_is_recovered(executing: Robot) -> None:
     epoch = executing.status()["gate"]["epoch"]
     for number in (1, 2, 3):

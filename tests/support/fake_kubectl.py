@@ -4,11 +4,12 @@ file if it watches."""
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-SCRIPT = """#!/usr/bin/env python3
+SCRIPT = """#!{python} -IS
 import json, os, sys, time
 path, asked = {settings!r}, {asked!r}
 arguments = sys.argv[1:]
@@ -98,7 +99,7 @@ class FakeKubectl:
         self._settings, self._asked = folder / "settings.json", folder / "asked"
         self.tell([])
         program = folder / "kubectl"
-        program.write_text(SCRIPT.format(settings=str(self._settings), asked=str(self._asked)))
+        program.write_text(SCRIPT.format(python=sys.executable, settings=str(self._settings), asked=str(self._asked)))
         program.chmod(0o755)
 
     def begin_with(self, code: str) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 READY = {"conditions": [{"type": "Ready", "status": "True"}]}
-KUBECTL = """#!/usr/bin/env python3
+KUBECTL = """#!{python} -IS
 import json, sys, time
 settings = json.load(open({settings!r}))
 with open({asked!r}, "a") as log:

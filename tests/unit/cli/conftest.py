@@ -9,10 +9,15 @@ from tests.support import fleet
 from tests.support.fake_kubectl import FakeKubectl
 
 
+@pytest.fixture(autouse=True)
+def no_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lines have no width, whatever the process that runs the tests says of a terminal."""
+    monkeypatch.delenv("COLUMNS", raising=False)
+
+
 @pytest.fixture
 def stand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeKubectl:
-    """kubectl on the PATH, in front of a fleet; and no terminal, whatever the process that runs the tests says of one."""
-    monkeypatch.delenv("COLUMNS", raising=False)
+    """kubectl on the PATH, in front of a fleet."""
     made = FakeKubectl(tmp_path)
     made.tell(fleet.fleet())
     monkeypatch.setenv("PATH", str(tmp_path), prepend=":")

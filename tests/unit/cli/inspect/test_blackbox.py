@@ -8,6 +8,7 @@ import asyncio
 import hashlib
 import json
 import re
+import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -48,7 +49,7 @@ class Monitor:
     def reached_by(self, port: int) -> None:
         kubectl = self._folder / "kubectl"
         file = self._folder / "settings.json"
-        kubectl.write_text(KUBECTL.format(settings=str(file), asked=str(self._folder / "asked")))
+        kubectl.write_text(KUBECTL.format(python=sys.executable, settings=str(file), asked=str(self._folder / "asked")))
         kubectl.chmod(0o755)
         pod = {"metadata": {"name": "monitor-1"}, "status": READY}
         file.write_text(json.dumps({"workload": {}, "pods": [pod], "port": port}))

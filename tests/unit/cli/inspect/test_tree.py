@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -27,7 +28,7 @@ class Cluster:
         self.port: int | None = None
         self.tell()
         kubectl = folder / "kubectl"
-        kubectl.write_text(KUBECTL.format(settings=str(self._settings), asked=str(self.asked)))
+        kubectl.write_text(KUBECTL.format(python=sys.executable, settings=str(self._settings), asked=str(self.asked)))
         kubectl.chmod(0o755)
 
     def tell(self, **more: Any) -> None:
