@@ -13,7 +13,9 @@ RESOLUTION = 0.02
 """rad between two positions that are looked at, of the joint that moves most."""
 
 SECONDS = 3.0
-"""For a plan."""
+"""For a try."""
+
+TRIES = 3
 
 util.setLogLevel(util.LogLevel.LOG_ERROR)
 
@@ -50,12 +52,17 @@ def plan(arm: Arm, start: Joints, goal: Joints) -> NDArray[np.float64]:
     space.setLongestValidSegmentFraction(RESOLUTION / space.getMaximumExtent())
     setup.setStartAndGoalStates(_state(space, _freed(arm, start)), _state(space, goal))
     setup.setPlanner(geometric.RRTConnect(setup.getSpaceInformation()))
-    setup.solve(SECONDS)
-    if not setup.haveExactSolutionPath():
-        raise NoWay(f"no way round what is in the way was found in {SECONDS:g} s")
-    setup.simplifySolution(SECONDS)
-    corners = [_joints(state, len(start)) for state in setup.getSolutionPath().getStates()]
-    return dense(np.stack([start, *corners]))
+    for _ in range(TRIES):
+        setup.solve(SECONDS)
+        if not setup.haveExactSolutionPath():
+            break
+        setup.simplifySolution(SECONDS)
+        corners = np.stack([_joints(state, len(start)) for state in setup.getSolutionPath().getStates()])
+        # OMPL looks at other positions between the corners than the arm takes.
+        if all(arm.free(joints) for joints in dense(corners)):
+            return dense(np.concatenate([start[None], corners]))
+        setup.clear()
+    raise NoWay(f"no way round what is in the way was found in {TRIES} tries of {SECONDS:g} s")
 
 
 def _freed(arm: Arm, start: Joints) -> Joints:
