@@ -20,7 +20,12 @@ from kubernetes.stream import stream
 from testcluster.local import cgroups, layout, network, node, processes, programs
 from testcluster.local.layout import Layout
 
-pytestmark = [pytest.mark.local_only, pytest.mark.timeout(600), pytest.mark.xdist_group("a cluster of their own")]
+pytestmark = [
+    pytest.mark.local_only,
+    pytest.mark.long,  # a second cluster takes the processors of the first one, and all other tests here use a local provider too
+    pytest.mark.timeout(600),
+    pytest.mark.xdist_group("a cluster of their own"),
+]
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 NAME = "provider-tests"
@@ -274,7 +279,6 @@ def test_a_node_without_power_is_lost_its_pod_is_replaced_and_the_node_returns(
     until(lambda: len(deployed()) == 1, "the lost pod is gone", 30)
 
 
-@pytest.mark.long
 def test_a_frozen_node_is_lost_and_continues_after_the_thaw(own: OwnCluster) -> None:
     frozen = "node2"
     before = node.init(own.layout, 2)
@@ -313,7 +317,6 @@ def test_a_pod_on_a_node_that_is_cut_off_runs_on_until_the_node_is_back(
     until(lambda: not runs(), "the evicted pod has ended", 30)
 
 
-@pytest.mark.long
 def test_up_starts_missing_processes_again(own: OwnCluster) -> None:
     group = network.control_plane_group(own.layout)
     scheduler = processes.find(group, "kube-scheduler")
@@ -325,7 +328,6 @@ def test_up_starts_missing_processes_again(own: OwnCluster) -> None:
     assert own.ready("node2")
 
 
-@pytest.mark.long
 def test_a_cluster_whose_start_was_killed_can_be_started_and_removed_completely() -> None:
     name = "provider-tests-killed"
     environment = {

@@ -151,9 +151,11 @@ def spoilt(executing: Robot) -> Iterator[Robot]:
     )
 
 
-@pytest.mark.parametrize(
-    "spoil", [_policy_deleted, _tree_broken, _lent_tree_broken, _reference_to_nothing, _template_broken]
-)
+SPOILERS = [_policy_deleted, _lent_tree_broken, _reference_to_nothing, _template_broken]
+"""The others, most of which tests/cluster tries on the API server."""
+
+
+@pytest.mark.parametrize("spoil", [_tree_broken, *(pytest.param(one, marks=pytest.mark.long) for one in SPOILERS)])
 def test_a_protected_workload_stays_protected_when_its_objects_become_invalid(
     spoilt: Robot, spoil: Callable[[Kubectl], None]
 ) -> None:
@@ -299,6 +301,7 @@ def test_the_robot_is_driven_although_nothing_that_its_policy_waits_for_arrives(
     assert robot.wait_recovered(2).strategy == "Fallback/Initialized"
 
 
+@pytest.mark.long
 def test_no_standby_is_created_from_a_pool_that_is_not_accepted(kubectl: Kubectl) -> None:
     robot = Robot(kubectl)
     policy, pool = manifest("strategies/initialized.yaml")

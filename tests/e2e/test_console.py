@@ -96,6 +96,7 @@ def test_the_console_shows_a_robot_before_and_after_a_failure(executing: Robot, 
     assert understudy(kubectl, "report", "-o", str(page), "robot-2-drive").returncode == 2
 
 
+@pytest.mark.long
 def test_status_watch_prints_every_change(executing: Robot, tmp_path: Path) -> None:
     kubectl, name, file = executing.kubectl, executing.workload, tmp_path / "watched"
     active = executing.wait_protected()

@@ -68,6 +68,7 @@ def test_a_configured_standby_is_activated_and_takes_over(managed: Robot, how: s
     )
 
 
+@pytest.mark.long
 @pytest.mark.own_robot  # its pool is deleted
 def test_a_standby_counts_only_while_its_check_holds_and_is_replaced_otherwise(managed: Robot) -> None:
     active = managed.wait_protected()

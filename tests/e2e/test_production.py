@@ -65,6 +65,7 @@ def test_a_robot_in_a_restricted_namespace_is_protected_and_recovered(restricted
     assert_handed_over(robot, robot.wait_recovered(1))
 
 
+@pytest.mark.long
 def test_another_policy_is_followed_by_a_monitor_that_may_read_its_own_only(restricted: Kubectl) -> None:
     """In a restricted namespace, as each right has to be given: the next one's comes with the change."""
     robot = protected(restricted, "executing")

@@ -101,8 +101,9 @@ def assert_fell_over(robot: Robot, recovery: Recovered, *, failed: float, return
         raise Late(f"the robot had no command for {handover.gap} s, the reflex should have been there")
 
 
+@pytest.mark.long
 @pytest.mark.alone  # its readers go to another instance after 100 ms
-@pytest.mark.parametrize("how", ["killed", pytest.param("frozen", marks=pytest.mark.long)])
+@pytest.mark.parametrize("how", ["killed", "frozen"])
 def test_the_robots_reader_falls_over_by_itself_and_the_loser_is_fenced(reflexive: Robot, how: str) -> None:
     old = wait_armed(reflexive)
     reflexive.fail(old, how)

@@ -162,6 +162,7 @@ def test_a_viewer_finds_the_tree_and_is_shown_it(kubectl: Kubectl) -> None:
     assert told[0][1] == "understudy.parallel"
 
 
+@pytest.mark.long
 def test_an_image_without_the_tree_s_message_package_is_reported(kubectl: Kubectl) -> None:
     robot = told_of(kubectl, snapshots=True)
     wanted = "involvedObject.kind=RobotWorkload,reason=TypeNotInstalled"

@@ -38,7 +38,7 @@ def assert_handed_over(robot: Robot, recovery: Recovered) -> None:
 
 
 @pytest.mark.own_robot  # what the pool counts depends on which pods drove before
-@pytest.mark.parametrize("how", often("killed", "frozen"))
+@pytest.mark.parametrize("how", often("frozen"))
 def test_an_executing_standby_takes_over(executing: Robot, how: str) -> None:
     old = executing.wait_protected()
     executing.fail(old, how)
