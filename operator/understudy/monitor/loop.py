@@ -90,11 +90,11 @@ class MonitorLoop:
     async def run(self) -> None:
         """Watch and recover until cancelled."""
         self._new_until = time.monotonic() + SETTLE
-        async with self.judge.sole_driver.during(self._pods):
+        async with self.judge.sole_driver.during(self._pods.of_workload):
             await self.resume()
         while True:
             resolution = await self._watch()
-            async with self.judge.sole_driver.during(self._pods):
+            async with self.judge.sole_driver.during(self._pods.of_workload):
                 await self.carry_through(resolution)
 
     # -- observe, judge, decide -------------------------------------------------------------------------------------

@@ -9,12 +9,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import time
-from collections.abc import AsyncIterator, Collection, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 from understudy.clock import ClockSteps
-from understudy.failover.interfaces import Gate, Instance, Instances
+from understudy.failover.interfaces import Gate, Instance
 from understudy.kube.gates.base import Proof
 from understudy.monitor.notices import ConditionReport, LeaksCounted, Notices
 from understudy.monitor.observe.robot.known_senders import KnownSender, OutputSender
@@ -195,17 +195,23 @@ class SoleDriver:
             self.report(now)
 
     @contextlib.asynccontextmanager
-    async def during(self, pods: Instances) -> AsyncIterator[None]:
-        """Take the signs during a recovery too, so that a leak in it is known as soon as it ends."""
-        tracking = asyncio.create_task(self._keep_tracking(pods))
+    async def during(self, instances: Callable[[], Sequence[Instance]]) -> AsyncIterator[None]:
+        """Take the signs during a recovery too, so that a leak in it is known as soon as it ends.
+
+        A planned switchover leaves the workload Healthy, which it is not while somebody else drives it too.
+        """
+        tracking = asyncio.create_task(self._keep_tracking(instances))
         try:
             yield
         finally:
             tracking.cancel()
 
-    async def _keep_tracking(self, pods: Instances) -> None:
+    async def _keep_tracking(self, instances: Callable[[], Sequence[Instance]]) -> None:
         while True:
-            self.track(pods.of_workload(), time.time())
+            now = time.time()
+            self.track(instances(), now)
+            if leaks(self._tracks, now) and self._notices.status.health == "Healthy":
+                self._notices.set(health="Degraded")
             await asyncio.sleep(PERIOD)
 
     def track(self, instances: Sequence[Instance], now: float) -> bool:
