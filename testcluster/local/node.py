@@ -18,7 +18,8 @@ from testcluster.progress import wait_until
 from testcluster.shell import run
 
 _INIT = Path(__file__).resolve().parent / "node-init.sh"
-WEIGHT = 8
+
+NODE_WEIGHT = 8
 """The weight of a node beside the control plane, and that of its pods beside its kubelet and its runtime. With the usual weight, robots'
 instances were silent for half a second while containers started, and failed.
 """
@@ -210,7 +211,7 @@ def up(layout: Layout, node: int, programs: Programs) -> bool:
         for part in ("system", "pods"):
             cgroups.create(f"{group(layout, node)}/{part}")
         for weighed in (group(layout, node), f"{group(layout, node)}/pods"):
-            cgroups.weigh(weighed, WEIGHT)
+            cgroups.weigh(weighed, NODE_WEIGHT)
         # The node's pods must not delay the enforcer: a real node would have another processor for it.
         enforcers = f"{layout.cgroup}/enforcers"
         cgroups.create(enforcers)

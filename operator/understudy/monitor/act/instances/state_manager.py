@@ -179,8 +179,7 @@ class StateManager:
 
     def _follow_clock(self) -> None:
         """Shift all times if the clock was set, so that ages stay as they are."""
-        step = self._steps.taken()
-        if step:
+        if step := self._steps.taken():
             self._keeper.shift(step)
             self._capturing.shift(step)
             self._odometry.shift(step)
