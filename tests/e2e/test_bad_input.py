@@ -151,11 +151,12 @@ def spoilt(executing: Robot) -> Iterator[Robot]:
     )
 
 
-SPOILERS = [_policy_deleted, _lent_tree_broken, _reference_to_nothing, _template_broken]
-"""The others, most of which tests/cluster tries on the API server."""
+SPOILERS = [_tree_broken, _policy_deleted, _lent_tree_broken, _reference_to_nothing, _template_broken]
+"""Most of these are also tried on the API server, by tests/cluster."""
 
 
-@pytest.mark.parametrize("spoil", [_tree_broken, *(pytest.param(one, marks=pytest.mark.long) for one in SPOILERS)])
+@pytest.mark.long
+@pytest.mark.parametrize("spoil", SPOILERS)
 def test_a_protected_workload_stays_protected_when_its_objects_become_invalid(
     spoilt: Robot, spoil: Callable[[Kubectl], None]
 ) -> None:
@@ -222,6 +223,7 @@ def test_a_bring_up_that_never_ends_is_reported_and_continues_once_it_is_correct
     )
 
 
+@pytest.mark.long
 def test_the_robot_is_driven_although_nothing_that_its_policy_waits_for_arrives(kubectl: Kubectl) -> None:
     robot = Robot(kubectl)
     policy, pool = manifest("strategies/initialized.yaml")

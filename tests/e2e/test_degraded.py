@@ -82,6 +82,7 @@ class Degrading(Cell):
         return {event["reason"] for event in events if event["involvedObject"]["name"] == NAME}
 
 
+@pytest.mark.long
 def test_a_degraded_workload_is_reported_and_resized_in_place_without_a_failover(kubectl: Kubectl) -> None:
     cell = Degrading(kubectl, {"resize": {"container": "app", "cpu": AFTER}})
     active = cell.wait_well()

@@ -21,7 +21,8 @@ def serving(robot: Robot) -> list[str]:
     ]
 
 
-@pytest.mark.parametrize("how", [pytest.param("deleted", marks=pytest.mark.long), "by force"])
+@pytest.mark.long
+@pytest.mark.parametrize("how", ["deleted", "by force"])
 def test_another_discovery_server_knows_the_robot_that_was_there_before(executing: Robot, how: str) -> None:
     old = executing.wait_protected()
     before = serving(executing)

@@ -44,6 +44,7 @@ def test_one_restart_is_allowed_and_the_next_is_one_too_many(kubectl: Kubectl) -
     assert_handed_over(robot, recovery)
 
 
+@pytest.mark.long
 def test_a_pod_that_is_no_longer_ready_fails_though_its_outputs_flow(kubectl: Kubectl) -> None:
     def with_probe(item: Object) -> None:
         [container] = item["spec"]["template"]["spec"]["containers"]

@@ -112,6 +112,7 @@ def diagnosed(kubectl: Kubectl) -> Iterator[tuple[Robot, Reader]]:
     reader.close()
 
 
+@pytest.mark.long
 def test_diagnostics_report_a_failover_with_its_reason_and_are_not_evidence(diagnosed: tuple[Robot, Reader]) -> None:
     robot, reader = diagnosed
     kubectl = robot.kubectl

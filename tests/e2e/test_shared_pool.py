@@ -99,6 +99,7 @@ def test_a_workload_that_finds_the_pool_empty_waits_for_the_next_pod(kubectl: Ku
         robot.wait_driven()
 
 
+@pytest.mark.long
 def test_of_two_that_wait_for_a_pod_the_more_critical_is_served_first(kubectl: Kubectl) -> None:
     kubectl.apply(waiting("300s"))
     ordinary, critical = robots = [Robot(kubectl, name) for name in ("robot-1", "robot-2")]

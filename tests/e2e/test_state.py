@@ -118,6 +118,7 @@ def test_state_is_kept_and_restored_and_missing_state_is_reported(keeping: Robot
     assert any(event["reason"] == "StateNotRestored" for event in keeping.kubectl.list("events"))
 
 
+@pytest.mark.long
 def test_kept_state_outlasts_the_monitors_container(keeping: Robot) -> None:
     keeping.kubectl.shell(keeping.robot_pod(), "robot", 'python3 -c "$1"', SAY)
     wait_kept(keeping, "Topic /note", "Topic /map")

@@ -92,6 +92,7 @@ def test_a_switchover_requested_by_annotation_works_as_documented(executing: Rob
     assert_unnoticed(executing, executing.wait_recovered(1), kind="Failover")
 
 
+@pytest.mark.long
 def test_an_initialized_standby_is_activated_before_the_switch(managed: Robot) -> None:
     managed.wait_protected()
     done = understudy(managed.kubectl, "failover", managed.workload)
@@ -123,6 +124,7 @@ def test_a_pod_of_a_shared_pool_takes_over_and_control_returns_to_the_workload_s
     assert len(uninitialized.recoveries()) == 2
 
 
+@pytest.mark.long
 def test_a_switchover_without_an_understudy_is_refused_with_the_reason(restarting: Robot) -> None:
     active = restarting.wait_protected()
     done = understudy(restarting.kubectl, "failover", restarting.workload)
