@@ -66,6 +66,9 @@ LET_THROUGH = f"{GROUP}/let-through"
 RECOVERY = f"{GROUP}/recovery"
 """Annotation of the gate: the recovery that committed it, as JSON, so that a new monitor can complete it."""
 
+OVERTAKEN = f"{GROUP}/overtaken"
+"""Annotation of the gate: the last recovery that was abandoned without an answer to its commit. The API server now refuses this commit."""
+
 SWITCHOVER = f"{GROUP}/switchover"
 """Annotation of a RobotWorkload: a requested switchover (api/kinds/switchover_spec.py)."""
 

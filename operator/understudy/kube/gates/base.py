@@ -212,6 +212,13 @@ class GateKind(ABC):
             }
         }
 
+    def overtaking(self, *, over: GateRecord, recovery: str) -> Object:
+        """Return the merge patch after which the API server refuses every commit over the record ``over`` that still reaches it.
+
+        ``recovery`` is the id of the recovery that sent such a commit. Control does not change, so the epoch stays.
+        """
+        return {"metadata": {"resourceVersion": over.version, "annotations": {names.OVERTAKEN: recovery}}}
+
     def admission(
         self, workload: str, *, over: GateRecord, admitted: str, admitted_uid: str, let_through: str = ""
     ) -> Object:

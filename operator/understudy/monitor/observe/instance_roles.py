@@ -50,7 +50,7 @@ def role_of(
     ready: bool = False,
 ) -> Role:
     """Return the role of an instance. ``brought`` is the readiness that it reached, if known; ``ready`` is whether it
-    has been ready.
+    has been ready with that.
 
     A standby that an earlier version of the procedure made ready keeps that role. The present version may fail, so it runs
     only on a new pod.
@@ -125,7 +125,8 @@ class InstanceRoles:
 
     def __init__(self, view: ClusterView, gate: Gate, current: CurrentRecovery) -> None:
         self._view, self._gate, self.current = view, gate, current
-        self._were_ready: set[str] = set()
+        self._were_ready: dict[str, str] = {}
+        """By UID of a standby that was ready: the token of the procedure that had made it so (``AgentStatus.initialized``)."""
 
     @property
     def driver(self) -> str:
@@ -137,16 +138,21 @@ class InstanceRoles:
         """Return whether an instance is a standby that was ready before. If it is no longer ready, it will be replaced."""
         return instance.uid in self._were_ready
 
-    def mark_ready(self, instance: Instance, *, ready: bool = True) -> None:
-        """Remember that a standby was ready, or forget it."""
-        if ready:
-            self._were_ready.add(instance.uid)
-        else:
-            self._were_ready.discard(instance.uid)
+    def was_ready_with(self, instance: Instance, brought: str) -> bool:
+        """Return whether a standby was ready with this token. A procedure that begins takes the token away, and the readiness with it."""
+        return self._were_ready.get(instance.uid) == brought
+
+    def mark_ready(self, instance: Instance, brought: str) -> None:
+        """Remember that a standby was ready with this token."""
+        self._were_ready[instance.uid] = brought
+
+    def forget(self, instance: Instance) -> None:
+        """An instance in control is no standby: forget that it was ready as one."""
+        self._were_ready.pop(instance.uid, None)
 
     def keep_only(self, uids: Collection[str]) -> None:
         """Forget every other instance."""
-        self._were_ready &= set(uids)
+        self._were_ready = {uid: brought for uid, brought in self._were_ready.items() if uid in uids}
 
     def readiness(self, instance: Instance, brought: str, *, ready: bool) -> tuple[Mapping[str, Any] | None, bool]:
         """Return what the agent of an instance must check (see :attr:`Role.standby`), and whether procedures bring instances up.
@@ -156,6 +162,6 @@ class InstanceRoles:
         policy, spec, settings = self._view.policy, self._view.spec, self._view.settings
         if policy is None or spec is None or settings is None:
             return None, False
-        ready = ready or self.was_ready(instance)
+        ready = ready or self.was_ready_with(instance, brought)
         role = role_of(instance, spec, settings, active_uid=self.driver, brought=brought, ready=ready)
         return role.standby, managed(spec, settings, policy)

@@ -203,9 +203,9 @@ async def test_a_resumed_recovery_that_stops_before_its_commit_is_abandoned_too(
     assert not later.upstream_state().failing
 
 
-async def test_a_commit_that_takes_effect_after_its_recovery_stopped_is_marked(
-    monitor: Monitor, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def late(monkeypatch: pytest.MonkeyPatch) -> list[Callable[[], Any]]:
+    """Commits that the API server has not carried out yet, although their sender has an answer."""
     real = GATE.write
     late: list[Callable[[], Any]] = []
 
@@ -216,8 +216,25 @@ async def test_a_commit_that_takes_effect_after_its_recovery_stopped_is_marked(
         raise DENIED  # by somebody in between, such as a proxy
 
     monkeypatch.setattr(GATE, "write", unanswered)
+    return late
+
+
+async def test_a_late_commit_of_an_abandoned_recovery_is_refused(
+    monitor: Monitor, late: list[Callable[[], Any]]
+) -> None:
     await monitor.recover(None)
     await monitor.look()
+    with pytest.raises(ApiError, match="409"):
+        await late[0]()
+    before = written(monitor.client)
+    await monitor.look()
+    assert (written(monitor.client), monitor.journal.given_up()) == (before, []), "one write is enough"
+
+
+async def test_a_commit_that_takes_effect_before_it_is_overtaken_is_marked(
+    monitor: Monitor, late: list[Callable[[], Any]]
+) -> None:
+    await monitor.recover(None)
     assert not monitor.upstream_state().failing
     await late[0]()
     monitor.watch()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import time
 from collections.abc import Sequence
 from typing import Any, cast
@@ -235,7 +236,7 @@ async def test_an_old_or_unknown_request_is_reported_and_not_carried_out() -> No
     scene = Scene()
     scene.ask(request("failover", time.time() - 3600))
     assert await scene.looked(0.05) is None
-    assert "no monitor handled it for 3600 s" in scene.notices.message
+    assert re.search(r"no monitor handled it for 36\d\d s", scene.notices.message)
     scene.ask("failover now")
     assert await scene.looked(0.05) is None
     assert_golden("monitor", scene.notices.message, "'failover now'")

@@ -149,6 +149,16 @@ async def test_a_standby_that_is_briefly_not_ready_is_not_brought_up_again(world
     assert world.roles.was_ready(STANDBY)
 
 
+async def test_a_standby_whose_readiness_an_interrupted_procedure_took_away_is_brought_up_again(world: World) -> None:
+    await world.look()
+    await world.look()
+    world.agents.brought["uid-3"] = (
+        ""  # another monitor began a procedure on it and was stopped, or its container restarted
+    )
+    await world.look()
+    assert world.agents.ran == [("w-3", "initialization")] * 2
+
+
 async def test_a_standby_that_an_earlier_procedure_brought_up_is_reported(world: World) -> None:
     world.agents.brought["uid-3"] = "init:other:0"
     await world.look()

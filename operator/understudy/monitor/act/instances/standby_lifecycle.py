@@ -86,7 +86,7 @@ class StandbyLifecycle:
             care = self._cared.setdefault(instance.uid, _InstanceState())
             status = self.agents.status(instance)
             if status is not None and status.configured:
-                ready = self.roles.was_ready(instance) or self.agents.is_ready(instance)[0]
+                ready = self.roles.was_ready_with(instance, status.initialized) or self.agents.is_ready(instance)[0]
                 found = role_of(
                     instance, spec, settings, active_uid=active_uid, brought=status.initialized, ready=ready
                 )
@@ -95,7 +95,7 @@ class StandbyLifecycle:
                 if found.procedure is not None and status.initialized != found.brought:
                     waiting.append(f"{instance.name}: {care.problem or f'{found.procedure.name} is under way'}")
             if instance.uid == active_uid:
-                self.roles.mark_ready(instance, ready=False)
+                self.roles.forget(instance)
                 care.lost_at = None
             elif pool_of(instance, settings) is not None and active_uid:
                 self._watch_readiness(instance, care, now)
@@ -146,12 +146,13 @@ class StandbyLifecycle:
         """Replace a standby that was ready and has not been for LOST_FOR seconds. It stays if the active instance is
         not healthy either, because then the cause may be the robot."""
         ready, reason = self.agents.is_ready(instance)
-        if ready:
-            self.roles.mark_ready(instance)
+        status = self.agents.status(instance)
+        if ready and status is not None:
+            self.roles.mark_ready(instance, status.initialized)
             care.lost_at = None
             return
         # If only this monitor cannot reach the standby's agent, the pod's readiness at the API server counts.
-        unreachable = self.agents.status(instance) is None and instance.ready
+        unreachable = status is None and instance.ready
         if (
             not self.roles.was_ready(instance)
             or care.replaced

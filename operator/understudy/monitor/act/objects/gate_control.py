@@ -286,6 +286,22 @@ class GateControl:
         _logger.info("marked recovery %s as abandoned at the gate", found.id)
         self._view.gates.put(gate)
 
+    async def overtake(self, over: GateRecord, abandoned: AbandonedRecovery) -> bool:
+        """Prevent that a commit of an abandoned recovery is carried out later, if it was sent over this record.
+
+        Returns whether the gate was written.
+
+        A failed write is not repeated, for the same reason as in :meth:`admit`.
+        """
+        patch = self._kind.overtaking(over=over, recovery=abandoned.id)
+        try:
+            gate = await self._kind.write(self._client, self._view.namespace, self._view.workload, patch)
+        except FAILURES as error:
+            _logger.warning("could not overtake the commit of recovery %s: %r", abandoned.id, error)
+            return False
+        self._view.gates.put(gate)
+        return True
+
     async def _reread(self, previous: GateRecord, uid: str, recovery: str) -> GateRecord | None:
         """Read the gate after a refused or unanswered commit, which may have been carried out. Returns None if the gate
         cannot be read; raises Superseded if another writer has changed it."""

@@ -1,4 +1,4 @@
-"""Marks abandoned recoveries in the record at the gate, so that they do not count as under way.
+"""Marks abandoned recoveries in the record at the gate, so that they do not count as under way and commit nothing later.
 
 The first commit of a recovery writes a record at the gate. The recovery counts as under way until the status lists it.
 If an error of the API server stops the recovery, or another writer is first, the status never lists it. Workloads that
@@ -6,7 +6,10 @@ depend on this one would wait for its end, and so would workloads that wait for 
 a recovery whose monitor is gone and that nobody has recorded, such as that of the older of two monitors of this
 workload.
 
-The mark is written in the background while no recovery is under way, and the write is repeated until the gate has it. A
+A commit that had no answer may reach the API server later, when the instance that it fences is healthy again. A write to the gate makes the
+API server refuse it from then on.
+
+Both are written in the background while no recovery is under way, and each write is repeated until the gate has it. A
 recovery never waits for the mark: at worst its commit is refused once, because the mark was written first, and is sent
 again.
 """
@@ -19,6 +22,7 @@ import time
 
 from understudy.failover.abandoned import AbandonedRecovery
 from understudy.failover.progress import LASTS, Progress, beside
+from understudy.kube.gates.base import GateRecord
 from understudy.monitor.act.objects.gate_control import GateControl
 from understudy.monitor.act.recovery.recovery_journal import RecoveryJournal
 from understudy.monitor.notices import Notices
@@ -37,7 +41,7 @@ class Abandonment:
         self._left: tuple[str, float] = ("", 0.0)
         """The unconcluded recovery in the gate's record, and since when (monotonic seconds) the record has had it while
         the active instance was healthy."""
-        self._status_conditions: asyncio.Task[None] | None = None
+        self._writing: asyncio.Task[None] | None = None
 
     @property
     def ids(self) -> set[str]:
@@ -60,14 +64,21 @@ class Abandonment:
         self._keep([*(one for one in there if one.id != left.id), left])
 
     def update(self) -> None:
-        """Write the mark if the gate's record lacks it. Called at intervals while no recovery is in progress; returns at once."""
+        """Write what the gate's record lacks of that. Called at intervals while no recovery is in progress; returns at once."""
         self._forget_past_ones()
         record = self._gate.record
-        if record is None or (self._status_conditions is not None and not self._status_conditions.done()):
+        if record is None or (self._writing is not None and not self._writing.done()):
             return
         given_up = any(one.matches(record.epoch, record.recovery) for one in self._known)
         if self._is_left(record.recovery) or given_up:
-            self._status_conditions = asyncio.create_task(self._gate.end_recovery(record))
+            self._writing = asyncio.create_task(self._gate.end_recovery(record))
+        elif self._known:  # what is left of them is a commit that may still be carried out
+            self._writing = asyncio.create_task(self._overtake(record))
+
+    async def _overtake(self, record: GateRecord) -> None:
+        overtaken = list(self._known)
+        if await self._gate.overtake(record, overtaken[-1]):
+            self._keep([one for one in self._known if one not in overtaken])
 
     def _is_left(self, text: str) -> bool:
         """Return whether this recovery was left behind: its monitor would have recorded it by now, because the active instance has been
