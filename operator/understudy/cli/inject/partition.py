@@ -159,6 +159,10 @@ def _wait_started(api: Api, namespace: str, pod: str, name: str) -> None:
         time.sleep(CHECK_PERIOD)
 
 
+_NO_LOG = "unable to retrieve container logs"
+"""What kubectl prints in place of the log of a container that is gone; it ends as usual then."""
+
+
 def _not_cut_off(pod: str, text: str) -> str:
     return f"pod {pod} was not cut off: {text.strip() or 'its container ended without a message'}"
 
@@ -173,7 +177,8 @@ def _follow(kubectl: Kubectl, pod: str, name: str, length: float, where: str) ->
             started = _next_report(pod, running, PATIENCE) or {}
             if not started:
                 # A recovery may delete the pod before its log is read.
-                if kubectl.find("pods", pod) is None:
+                found = kubectl.find("pods", pod)
+                if found is None or found["metadata"].get("deletionTimestamp"):
                     print(f"{pod}: the pod was deleted while container {name} ran; the fault ended with it", flush=True)
                     return
                 raise CommandError(_not_cut_off(pod, _errors(running)))
@@ -211,7 +216,7 @@ def _next_report(pod: str, running: subprocess.Popen[bytes], within: float) -> d
     if not select.select([running.stdout], [], [], within)[0]:
         return None
     line = running.stdout.readline().decode(errors="replace")
-    if not line:
+    if not line or line.startswith(_NO_LOG):
         return None
     try:
         found: dict[str, Any] = json.loads(line)

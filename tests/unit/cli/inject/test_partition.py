@@ -209,7 +209,13 @@ def test_a_pod_that_a_recovery_deletes_before_its_log_is_read_was_cut_off(
     cluster.tell(inside=["sh", "-c", "exit 1"])
     assert inject.main([ROBOT, "partition", "--yes"]) == 0
     assert_golden("inject", without_id(capsys.readouterr().out), "deleted")
-    stand.tell([*protected(), {"kind": "Pod", "metadata": {"name": fleet.well()["status"]["active"]}}])
+    metadata = {"name": fleet.well()["status"]["active"]}
+    stand.tell([*protected(), {"kind": "Pod", "metadata": metadata | {"deletionTimestamp": "2026-11-26T10:00:00Z"}}])
+    cluster.tell(inside=["sh", "-c", "echo unable to retrieve container logs for containerd://79d2"])
+    assert inject.main([ROBOT, "partition", "--yes"]) == 0
+    capsys.readouterr()
+    stand.tell([*protected(), {"kind": "Pod", "metadata": metadata}])
+    cluster.tell(inside=["sh", "-c", "exit 1"])
     assert inject.main([ROBOT, "partition", "--yes"]) == 2
     assert "was not cut off: its container ended without a message" in capsys.readouterr().err
 
