@@ -138,8 +138,8 @@ class Strategy(Model):
     """The FallbackPool that provides the new instance."""
     recovery: Procedure | None = None
     """Procedure (a behaviour tree) that runs on the instance that takes over, instead of spec.bringUp of the
-    RobotWorkload. The gate is closed meanwhile: no output reaches the robot. Kept state (spec.state) is restored before
-    the procedure, or by its restore_state steps if it has any."""
+    RobotWorkload. The gate is closed for this instance meanwhile. Kept state (spec.state) is restored before the
+    procedure, or by its restore_state steps if it has any."""
     wait_for: Duration | None = None
     """Only for pools with readiness Uninitialized: how long to wait, with the gate closed (no instance reaches the
     robot), if the pool has no ready pod. After this time the next strategy is tried. A free pod goes first to the
@@ -338,10 +338,11 @@ class FailurePolicySpec(Model):
     delay a recovery (cooldown has no effect), and the retry delay is always 2 s."""
     on_leak: Literal["Close", "Continue"] = "Close"
     """What to do while an instance that was in control before still reaches the robot past the gate. Its pod is deleted
-    in any case. Close: the gate is closed for the active instance too, until the other one is silent, so that only one
-    drives. Continue: the active instance continues to drive. See docs/safety.md."""
+    in any case. Close: the gate is closed for the active instance too, until the other one is silent, so that only that
+    one drives. Continue: the active instance continues to drive. See docs/safety.md."""
     safety: Safety | None = None
-    """Safe commands: messages that the monitor sends to the robot while no instance controls it."""
+    """Safe commands: messages that the monitor sends to the robot while no instance controls it. None are sent while the
+    monitor does not run. See docs/safety.md."""
     black_box: BlackBox | None = None
     """Record the messages that the monitor received before and during each failure in an MCAP file. The command
     `understudy blackbox` downloads it. Absent: nothing is recorded. See docs/blackbox.md."""

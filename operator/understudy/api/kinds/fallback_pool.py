@@ -226,7 +226,7 @@ class FallbackPoolSpec(Model):
     """How far the pool's instances are prepared. Uninitialized: the pods run, but their processes are held (start
     later) until a workload claims (takes) the pod; several workloads share the pool. Initialized: the application runs
     and is configured by spec.initialization. Executing: the application runs completely. The gate blocks the outputs of
-    every instance that waits."""
+    every instance that waits, except one if the workload has a reflex."""
     replicas: int | None = Field(default=None, ge=0, le=1000)
     """Only for readiness Uninitialized: number of unclaimed pods to keep. Set either this field or sizing."""
     sizing: Sizing | None = None

@@ -83,7 +83,8 @@ class Output(Model):
     lifespan: Duration | None = None
     """How long a command stays valid if the robot has not received it: about one period of the output. Then the writer
     in the instance deletes it, so that a standby does not deliver old commands when the gate opens for it. Applies to
-    the messages of a topic, the requests of a service, and the goals and cancellations of an action. A latched topic
+    the messages of a topic, the requests of a service, and the goals and cancellations of an action. Does not apply to
+    replies, to the pods of a workloadRef, or to containers with a DDS profile file of their own. A latched topic
     (durability transient local) needs a long lifespan. Default: 100ms for a topic, or gate.reflex.deadline if that is
     shorter; 1s for a service or an action."""
 
@@ -145,7 +146,8 @@ class Reflex(Model):
 
     deadline: Duration = "100ms"
     """The robot's DataReader switches to the standby when it has received nothing from the active instance for this
-    long. Must be longer than the period of the outputs."""
+    long. Must be longer than the longest gap between outputs without a failure. On a machine with busy cores, that gap
+    may be longer than 100ms."""
     accept: list[RosName] = Field(default_factory=list, max_length=24)
     """Outputs that may switch independently of each other. If there are several outputs, or a service or action, list
     all of them here to accept that. Otherwise the operator refuses the workload (condition Accepted)."""
@@ -162,8 +164,8 @@ class Gate(Model):
     could bypass the gate."""
     reflex: Reflex | None = None
     """Reflex: the gate is also open for one standby of an Executing pool. With DDS exclusive ownership, the robot's own
-    DataReaders switch to this standby if the active instance fails, before the monitor acts. Absent: the gate is open
-    only for the active instance. See docs/reflex.md."""
+    DataReaders switch to this standby if the active instance falls silent, before the monitor acts. Absent: the gate is
+    open only for the active instance. See docs/reflex.md."""
 
 
 class MonitorSettings(Model):
@@ -264,7 +266,7 @@ class RobotWorkloadSpec(Model):
     """The robot's ROS graph."""
     outputs: list[Output] = Field(min_length=1, max_length=24)
     """Every topic that the robot subscribes to, and every service and action between the workload and the robot. The
-    gate controls all of them: only the active instance can reach the robot."""
+    gate controls all of them, and nothing else. What it guarantees: docs/explanation/guarantees.md."""
     tasks: list[Task] = Field(default_factory=list, max_length=8)
     """Actions that the workload serves. When another instance takes over, Understudy handles their goals as onFailover
     says."""
@@ -324,7 +326,7 @@ class Moments(Model):
     last_output: Time | None = None
     """For a planned switchover: when the last output of the previous instance arrived through the gate."""
     fenced: Time | None = None
-    """When the failed pod could no longer reach the robot."""
+    """When the gate had closed for the failed pod, or when the monitor last heard it, if that was later."""
     claimed: Time | None = None
     """When a pod of a shared pool was claimed (taken for this workload)."""
     started: Time | None = None
@@ -336,8 +338,8 @@ class Moments(Model):
     first_output: Time | None = None
     """When the first output of the understudy arrived through the gate."""
     verified: Time | None = None
-    """When outputs of the understudy had arrived through the gate, and every other instance had been silent for one of
-    its periods and a margin."""
+    """When outputs of the understudy had arrived through the gate, and the monitor had heard no other known instance for
+    one of its periods and a margin. Only outputs that the health tree watches count, and probe packets."""
 
 
 class Attempt(Model):
@@ -349,7 +351,7 @@ class Attempt(Model):
     pod: str = ""
     """Name of the understudy's pod."""
     result: Literal["Verified", "NotVerified", "NotAvailable"]
-    """Verified: the robot receives outputs of the new instance and of no other. NotVerified: it did not in time.
+    """Verified: the monitor received outputs of the new instance, and of no other known one. NotVerified: not in time.
     NotAvailable: the strategy could not be tried."""
     message: str = ""
     """Reason for the result."""
@@ -497,14 +499,14 @@ class RobotWorkloadStatus(Model):
     DependenciesResolved (if spec.dependsOn is set): the workloads exist, and there is no cycle. DependencyFailed: the
     workload fails, and the monitor waits because a dependency may have caused it. Degraded: the health tree succeeds,
     and the stricter tree of the policy's spec.degraded fails. Resized: the active pod has the resources that the policy
-    sets for a degraded workload. GateEnforced: probe packets show that only the pods for which the gate is open (the
-    active pod and, with a reflex, one standby) can reach the robot, and the robot reads no output at a port outside the
-    gate. SoleDriver: no instance reaches the robot that the gate does not let through, by the messages on all outputs
-    and by probe packets; Unknown if a sender on an output is no known instance. OutputsRead: the robot reads every
-    topic of spec.outputs at gated ports. Recovering: a recovery is in progress. Paused: spec.pause is in effect.
-    WithinBudget (if the policy has limits.budget): the budget allows another recovery. BroughtUp: bringUp and the
-    pools' initializations have succeeded on every instance. Reflex (if spec.gate.reflex is set): the gate is also open
-    for a standby, so that the robot's DataReaders switch to it if the active instance fails. Draining: the active pod's
-    node is being drained, and evictions wait until an instance on another node has taken over. TasksProxied (if
-    spec.tasks is set): the proxy serves all tasks. StateKept: everything in the policy's spec.state is kept.
-    StateRestored: the last instance that took over received all of it."""
+    sets for a degraded workload. GateEnforced: of the probe packets to the monitor, only those of the pods for which
+    the gate is open (the active pod and, with a reflex, one standby) arrive, and the robot reads no output topic at a
+    port outside the gate. SoleDriver: the monitor hears no instance that the gate does not let through, by the messages
+    on all topics of spec.outputs and by probe packets; Unknown if a sender is no known instance. OutputsRead: the robot
+    reads every topic of spec.outputs at gated ports. Recovering: a recovery is in progress. Paused: spec.pause is in
+    effect. WithinBudget (if the policy has limits.budget): the budget allows another recovery. BroughtUp: bringUp and
+    the pools' initializations have succeeded on every instance. Reflex (if spec.gate.reflex is set): the gate is also
+    open for a standby, so that the robot's DataReaders switch to it if the active instance falls silent. Draining: the
+    active pod's node is being drained, and evictions wait until an instance on another node has taken over.
+    TasksProxied (if spec.tasks is set): the proxy serves all tasks. StateKept: everything in the policy's spec.state is
+    kept. StateRestored: the last instance that took over received all of it."""
