@@ -84,13 +84,12 @@ async def prepare(progress: Progress, choices: Sequence[Choice], context: Strate
 async def switch(prepared: Preparation, context: StrategyContext) -> Progress:
     """Switch the robot from the active instance to a prepared understudy.
 
-    Returns the progress with its result. If that is Failed, the former instance drives. Raises NotAvailable if the understudy is gone,
-    Superseded, and TimeoutError if the API server did not answer: the gate shows later whether it was switched.
+    Returns the progress with its result. If that is Failed, the former instance drives. Raises NotAvailable if the understudy is gone or
+    no longer ready, Superseded, and TimeoutError if the API server did not answer: the gate shows later whether it was switched.
     """
     progress, target, state = prepared.progress, prepared.target, context.gate.state
     assert target is not None, "it was prepared"
-    if not any(i.uid == target.uid and i.usable for i in context.instances.of_workload()):
-        raise NotAvailable(f"{target.name}, which was ready, is gone")
+    _assert_ready(target, context)
     progress.former = PodIdentity(name=state.active, uid=state.active_uid)
     progress.attempts = list(prepared.attempts)
     if progress.state:
@@ -105,6 +104,16 @@ async def switch(prepared: Preparation, context: StrategyContext) -> Progress:
     async with asyncio.timeout(COMMIT_WITHIN):
         await open_for(target, progress, context)
     return await settle(progress, context)
+
+
+def _assert_ready(prepared: Instance, context: StrategyContext) -> None:
+    """Raise NotAvailable if an understudy failed after it was prepared: the active instance drives better."""
+    found = next((i for i in context.instances.of_workload() if i.uid == prepared.uid and i.usable), None)
+    if found is None:
+        raise NotAvailable(f"{prepared.name}, which was ready, is gone")
+    is_ready, reason = context.agents.is_ready(found) if found.has_agent else (found.ready, "")
+    if not is_ready:
+        raise NotAvailable(f"{prepared.name}, which was ready, is not ready any more{f': {reason}' if reason else ''}")
 
 
 def committed(progress: Progress, context: StrategyContext) -> bool:

@@ -297,3 +297,16 @@ async def test_a_standby_that_disappears_before_the_switch_changes_nothing() -> 
     with pytest.raises(NotAvailable, match="w-2, which was ready, is gone"):
         await switch(found, world.context())
     assert (store.gate.active, store.commits) == ("w-1", [])
+
+
+@EACH
+async def test_a_standby_that_is_no_longer_ready_does_not_get_control(
+    strategy: Strategy, standby: dict[str, object]
+) -> None:
+    store = driven(**standby)
+    world = World(store)
+    found = await prepared_by(world, strategy)
+    store.pods["w-2"] = replace(store.pods["w-2"], ready=False)
+    with pytest.raises(NotAvailable, match="w-2, which was ready, is not ready any more: no /cmd_vel for 500 ms"):
+        await switch(found, world.context())
+    assert (store.gate.active, store.commits) == ("w-1", [])

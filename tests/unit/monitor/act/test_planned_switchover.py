@@ -133,11 +133,11 @@ class Scene:
     def look(self, lacking: str = "") -> Preparation | None:
         return self.switching.advance(lacking)
 
-    async def looked(self, within: float = 1.0) -> Preparation | None:
+    async def looked(self, within: float = 1.0, lacking: str = "") -> Preparation | None:
         """The result after a while, in which the loop looks again and again."""
         end = time.monotonic() + within
         while time.monotonic() < end:
-            if (found := self.look()) is not None:
+            if (found := self.look(lacking)) is not None:
                 return found
             await asyncio.sleep(0.01)
         return None
@@ -222,6 +222,39 @@ async def test_a_switchover_waits_for_a_standby_and_ends_with_the_reason(monkeyp
     assert_golden("monitor", scene.notices.message, "Fallback/Executing", "w-2", "/cmd_vel")
     assert scene.notices.reasons[-1] == "SwitchoverNotDone"
     assert (scene.state.active, scene.store.commits) == ("w-1", [])
+
+
+async def test_a_prepared_switchover_that_something_prevents_ends_with_the_reason(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene = Scene(InitializedFallback("warm", recovery=BRING_UP), pool="warm")
+    scene.ask(asked := request("failover", time.time()))
+    assert scene.look() is None
+    assert await scene.looked(0.1, lacking="the workload is paused") is None
+    assert (scene.notices.phase, scene.switching.preparing) == ("Preparing", "uid-w-2"), "the operator keeps the pod"
+    assert_golden("monitor", scene.notices.message, "w-2", "the workload is paused")
+    monkeypatch.setattr(planned_switchover, "PATIENCE", 0.0)
+    assert scene.look("the workload is paused") is None
+    assert scene.notices.status.switchover is not None
+    assert (scene.notices.phase, scene.notices.status.switchover.handled) == ("NotDone", asked)
+    assert_golden("monitor", scene.notices.message, "the workload is paused")
+    assert (scene.left, scene.switching.preparing) == (["w-2"], "")
+    assert await scene.looked(0.05) is None, "the request has ended"
+
+
+async def test_a_drain_waits_with_its_prepared_standby_until_nothing_prevents_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(planned_switchover, "PATIENCE", 0.0)
+    scene = Scene()
+    scene.drain("node-1")
+    assert scene.look() is None
+    assert await scene.looked(0.1, lacking="the workload is paused") is None
+    assert (scene.notices.phase, scene.notices.message) == (
+        "Preparing",
+        "w-2 is prepared, and waits: the workload is paused.",
+    )
+    assert await scene.looked() is not None
 
 
 async def test_a_switchover_does_not_begin_while_the_active_instance_is_not_healthy() -> None:

@@ -40,8 +40,8 @@ EXPIRES = 600.0
 the user's clock does not matter."""
 
 PATIENCE = 30.0
-"""Seconds that a request waits for an understudy, or for the end of whatever prevents it. The request of a drain waits
-as long as the drain lasts."""
+"""Seconds that a request waits for an understudy, or for the end of whatever prevents it: before the preparation and again after it. The
+request of a drain waits as long as the drain lasts."""
 
 CHECK_PERIOD = 1.0
 """Seconds between two checks whether a waiting request can begin."""
@@ -98,7 +98,7 @@ class PlannedSwitchovers:
         """The understudy that was prepared for the switchover, and has no other use."""
         self._next = 0.0
         self._reported_at = 0.0
-        self._waits_since: tuple[tuple[str, str, str], float] = (("", "", ""), 0.0)
+        self._waits_since: tuple[tuple[str, ...], float] = ((), 0.0)
 
     @property
     def preparing(self) -> str:
@@ -118,7 +118,10 @@ class PlannedSwitchovers:
             if wanted is None or self._wanted is None or wanted.key != self._wanted.key:
                 self._abandon("the request was withdrawn")
             elif self._task.done():
-                return self._outcome(self._task) if not lacking else None
+                prepared = self._outcome(self._task)
+                if prepared is None or not lacking:
+                    return prepared
+                self._wait_prepared(wanted, prepared, lacking, now)
             elif now >= self._next and self._progress is not None:
                 self._report_progress(self._progress, "Preparing", "An understudy is being prepared.")
             return None
@@ -295,9 +298,7 @@ class PlannedSwitchovers:
 
     def _wait(self, wanted: Wanted, reason: str, now: float) -> None:
         reason = reason.rstrip(".")
-        if self._waits_since[0] != wanted.key:
-            self._waits_since = (wanted.key, now)
-        if wanted.request and now - self._waits_since[1] >= PATIENCE:
+        if self._waited_too_long(wanted, now):
             self._end(
                 "NotDone",
                 f"The switchover could not begin within {PATIENCE:g} s and was cancelled; nothing was changed: {reason}.",
@@ -312,6 +313,24 @@ class PlannedSwitchovers:
         if new or (published is not None and published.phase != "Waiting") or now - self._reported_at >= REPORT_PERIOD:
             self._reported_at = now
             self._report(wanted.kind, wanted.request, "Waiting", f"{reason}.")
+
+    def _wait_prepared(self, wanted: Wanted, prepared: Preparation, reason: str, now: float) -> None:
+        """Wait until a prepared understudy may drive. The phase stays Preparing, in which the operator keeps the understudy's pod."""
+        reason = reason.rstrip(".")
+        if self._waited_too_long(wanted, now, "prepared"):
+            self._abandon(f"an understudy was prepared, but could not take over within {PATIENCE:g} s: {reason}")
+        elif now - self._reported_at >= REPORT_PERIOD:
+            self._reported_at = now
+            assert prepared.target is not None, "it was prepared"
+            self._report_progress(
+                prepared.progress, "Preparing", f"{prepared.target.name} is prepared, and waits: {reason}."
+            )
+
+    def _waited_too_long(self, wanted: Wanted, now: float, *what: str) -> bool:
+        key = (*wanted.key, *what)
+        if self._waits_since[0] != key:
+            self._waits_since = (key, now)
+        return bool(wanted.request) and now - self._waits_since[1] >= PATIENCE
 
     def _abandon(self, reason: str) -> None:
         wanted, progress = self._wanted, self._progress
