@@ -152,6 +152,8 @@ class Instances(Protocol):
     async def refresh_unclaimed(self, pool: str, *, part: bool = False) -> None:
         """Request which pods of a shared pool are unclaimed. Waits while the API server does not answer.
 
+        Raises NotAvailable if it refuses.
+
         If a few pods are enough, ``part`` requests only one part of the pool. Other workloads request other parts.
         """
 

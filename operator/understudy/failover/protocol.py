@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import AsyncIterator, Coroutine, Sequence
-from contextlib import asynccontextmanager
+from collections.abc import Coroutine, Sequence
 from typing import Literal, TypeVar
 
 from understudy.api.kinds.robot_workload import Attempt
 from understudy.failover.interfaces import ClaimsLost, Instance, NotAvailable, NotVerified, StillDriven, Superseded
 from understudy.failover.progress import Progress
 from understudy.failover.strategies.base import Choice, StrategyContext
+from understudy.failover.strategies.steps import answered_time
 
 _logger = logging.getLogger(__name__)
 
@@ -28,12 +28,6 @@ LOST = 2.0
 
 LOST_CHECK_PERIOD = 0.1
 """Seconds between two checks whether the instance is lost."""
-
-OUTAGE_CHECK_PERIOD = 0.05
-"""Seconds between two checks of whether the API server answers."""
-
-CLOCK_RESOLUTION = 0.001
-"""Seconds that the clock distinguishes at least."""
 
 SILENCE_MARGIN = 0.100
 """Seconds that nobody else must be heard besides one of the others' periods, before an instance counts as the only one that drives."""
@@ -116,41 +110,15 @@ async def _attempt(
 async def _in_its_time(progress: Progress, choice: Choice, context: StrategyContext, *, last: bool) -> None:
     """Wait for the resources of the strategy, carry it out within its time, and wait until its instance drives alone."""
     while True:
-        await choice.strategy.wait(progress, context)
+        await choice.strategy.wait(progress, context, within=choice.verify_within)
         try:
-            async with _answered_time(choice.verify_within, context):
+            async with answered_time(choice.verify_within, context):
                 work = _carry_out(progress, choice, context)
                 target = await unless_lost(work, progress, context, crashing_counts=not last)
             await unless_lost(alone(target, progress, context), progress, context, crashing_counts=not last)
             return
         except ClaimsLost as reason:
             _logger.info("%s", reason)
-
-
-@asynccontextmanager
-async def _answered_time(within: float, context: StrategyContext) -> AsyncIterator[None]:
-    """Limit the context to ``within`` seconds in which the API server answers and this process runs.
-
-    An outage of the control plane says nothing about an understudy. Raises TimeoutError.
-    """
-    async with asyncio.timeout(None) as limit:
-        charging = asyncio.create_task(_charge(limit, within, context))
-        try:
-            yield
-        finally:
-            charging.cancel()
-
-
-async def _charge(limit: asyncio.Timeout, within: float, context: StrategyContext) -> None:
-    loop = asyncio.get_running_loop()
-    charged, counted_until = 0.0, loop.time()
-    while (left := within - charged) > CLOCK_RESOLUTION:  # a shorter sleep may pass without any time
-        await asyncio.sleep(min(OUTAGE_CHECK_PERIOD, left))
-        since, now = context.gate.unanswered_since, loop.time()
-        answered = now - counted_until if since is None else max(0.0, since - counted_until)
-        charged += min(answered, 2 * OUTAGE_CHECK_PERIOD)  # a longer sleep means that the process was stalled
-        counted_until = now
-    limit.reschedule(loop.time())
 
 
 async def _carry_out(progress: Progress, choice: Choice, context: StrategyContext) -> Instance:

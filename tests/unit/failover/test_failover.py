@@ -6,6 +6,7 @@ import asyncio
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -262,6 +263,32 @@ async def test_a_strategy_has_its_whole_time_again_after_an_outage_and_no_more()
     done = await recover(failure(world), choices(ExecutingFallback("hot")), world.context())
     assert done.result == "Failed"
     assert 2.5 * VERIFY_WITHIN <= loop.time() - began <= 4.5 * VERIFY_WITHIN
+
+
+@pytest.mark.parametrize("problem", [{"unlisted": True}, {"list_refusal": "403 Forbidden"}])
+async def test_the_next_strategy_is_tried_if_only_the_pods_of_a_pool_cannot_be_listed(problem: dict[str, Any]) -> None:
+    store = replace(protected(pool="spare", held=True), **problem)
+    world = World(store)
+    async with asyncio.timeout(5):
+        done = await recover(failure(world), choices(UninitializedFallback("spare"), Restart()), world.context())
+    assert [(attempt.strategy, attempt.result) for attempt in done.attempts] == [
+        ("Fallback/Uninitialized", "NotAvailable"),
+        ("Restart", "Verified"),
+    ]
+    assert problem.get("list_refusal", "did not list") in done.attempts[0].message
+
+
+@pytest.mark.parametrize("after", [{"unlisted": False}, {"unlisted": False, "list_refusal": "403: no roles yet"}])
+async def test_a_pool_that_cannot_be_listed_during_an_outage_is_used_after_it(after: dict[str, Any]) -> None:
+    store = protected(pool="spare", held=True)
+    world, store.away, store.unlisted = World(store), True, True
+    loop = asyncio.get_running_loop()
+    for name, value in (after | {"away": False}).items():
+        loop.call_later(2 * VERIFY_WITHIN, setattr, store, name, value)
+    loop.call_later(2 * VERIFY_WITHIN + 0.02, setattr, store, "list_refusal", "")
+    ladder = [Choice(UninitializedFallback("spare"), 4 * VERIFY_WITHIN), Choice(Restart(), VERIFY_WITHIN)]
+    done = await recover(failure(world), ladder, world.context())
+    assert [(attempt.pod, attempt.result) for attempt in done.attempts] == [("w-2", "Verified")]
 
 
 async def test_a_refused_claim_leaves_no_pending_commit(monkeypatch: pytest.MonkeyPatch) -> None:

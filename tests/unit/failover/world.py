@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 from understudy.api.protocol.kept_state import KeptState, Restored, RestoreReport
 from understudy.failover.bring_up import BringUp
-from understudy.failover.interfaces import ClaimLost, GateState, Instance, NotVerified, Superseded
+from understudy.failover.interfaces import ClaimLost, GateState, Instance, NotAvailable, NotVerified, Superseded
 from understudy.failover.pool_queue import Waiter
 from understudy.failover.progress import Progress
 from understudy.failover.strategies.base import StrategyContext
@@ -81,6 +81,10 @@ class Store:
     """Stores of other workloads of the namespace, this one perhaps among them; its unclaimed pods are also theirs."""
     looks: list[str] = field(default_factory=list)
     """How unclaimed pods were looked for."""
+    unlisted: bool = False
+    """Whether the API server does not answer requests for unclaimed pods."""
+    list_refusal: str = ""
+    """Why the API server refuses requests for unclaimed pods."""
     other_parts: set[str] = field(default_factory=set)
     """Unclaimed pods (by name) that aren't in this workload's part of their pool."""
     stocked: set[str] = field(default_factory=set)
@@ -200,6 +204,10 @@ class _Instances(_Part):
     async def refresh_unclaimed(self, pool: str, *, part: bool = False) -> None:
         self.store.looks.append("part" if part else "all")
         await asyncio.sleep(0.001)
+        while self.store.unlisted:
+            await asyncio.sleep(PERIOD)
+        if self.store.list_refusal:
+            raise NotAvailable(self.store.list_refusal)
         found = (p for p in self.store.pods.values() if p.held and p.pool == pool)
         self.world.found = [p for p in found if not part or p.name not in self.store.other_parts]
 

@@ -123,6 +123,9 @@ class MemoryClient(Client):
         ]
         return {"metadata": {"resourceVersion": str(self._version)}, "items": copy.deepcopy(found)}
 
+    async def table(self, resource: Resource, namespace: str, *, labels: str, fields: str) -> Object:
+        return await self.list(resource, namespace, labels=labels)  # as a server without tables does
+
     async def watch(
         self,
         resource: Resource,

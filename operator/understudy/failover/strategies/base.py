@@ -61,8 +61,11 @@ class Strategy(ABC):
         """
         raise NotAvailable(f"strategy {self.name} cannot prepare a new instance while another one is active")
 
-    async def wait(self, progress: Progress, context: StrategyContext) -> None:
-        """Wait for the resources that it needs, for as long as the policy allows. Raises NotAvailable."""
+    async def wait(self, progress: Progress, context: StrategyContext, *, within: float) -> None:
+        """Wait for the resources that it needs, for as long as the policy allows. Raises NotAvailable.
+
+        ``within`` is the time in seconds within which the strategy must be verified afterwards.
+        """
         return
 
     def available(self, context: StrategyContext, progress: Progress | None = None) -> str | None:
@@ -79,7 +82,7 @@ class Strategy(ABC):
         return self.available(context)
 
     async def refresh(self, context: StrategyContext, progress: Progress | None = None) -> None:
-        """Request the state that ``available`` needs, if it is not known yet."""
+        """Request the state that ``available`` needs, if it is not known yet. Raises NotAvailable if the API server refuses."""
         return
 
 

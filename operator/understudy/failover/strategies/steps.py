@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Coroutine, Iterable
+from collections.abc import AsyncIterator, Coroutine, Iterable
+from contextlib import asynccontextmanager
 from typing import Any
 
 from understudy.api.protocol.kept_state import KeptState
@@ -28,6 +29,12 @@ the time is short, no more than a quarter of it."""
 
 PROBE_SECONDS = 2.0
 """Seconds for which probes are sent around a commit."""
+
+OUTAGE_CHECK_PERIOD = 0.05
+"""Seconds between two checks of whether the API server answers."""
+
+CLOCK_RESOLUTION = 0.001
+"""Seconds that the clock distinguishes at least."""
 
 
 def committed_target(progress: Progress, context: StrategyContext) -> Instance | None:
@@ -186,6 +193,32 @@ async def give_state_and_bring_up(
         if recovery.restores_state:
             progress.note_state(report)
             context.save(progress)
+
+
+@asynccontextmanager
+async def answered_time(within: float, context: StrategyContext) -> AsyncIterator[None]:
+    """Limit the context to ``within`` seconds in which the API server answers and this process runs.
+
+    An outage of the control plane says nothing about an understudy. Raises TimeoutError.
+    """
+    async with asyncio.timeout(None) as limit:
+        charging = asyncio.create_task(_charge(limit, within, context))
+        try:
+            yield
+        finally:
+            charging.cancel()
+
+
+async def _charge(limit: asyncio.Timeout, within: float, context: StrategyContext) -> None:
+    loop = asyncio.get_running_loop()
+    charged, counted_until = 0.0, loop.time()
+    while (left := within - charged) > CLOCK_RESOLUTION:  # a shorter sleep may pass without any time
+        await asyncio.sleep(min(OUTAGE_CHECK_PERIOD, left))
+        since, now = context.gate.unanswered_since, loop.time()
+        answered = now - counted_until if since is None else max(0.0, since - counted_until)
+        charged += min(answered, 2 * OUTAGE_CHECK_PERIOD)  # a longer sleep means that the process was stalled
+        counted_until = now
+    limit.reschedule(loop.time())
 
 
 def timeline(moments: dict[str, float], *steps: str) -> str:

@@ -13,6 +13,7 @@ from understudy.failover.pool_queue import YIELD_MOST, Waiter, at_once, before, 
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.strategies.base import Strategy, StrategyContext, Unfit
 from understudy.failover.strategies.steps import (
+    answered_time,
     both,
     bring_up_and_open,
     claim_of,
@@ -30,6 +31,9 @@ from understudy.failover.strategies.steps import (
 ANSWER_WITHIN = 8.0
 """Seconds within which the agent of a claimed pod must answer, at most a third of the strategy's time. It ran before the claim, so it is
 not starting: its node was probably lost, which Kubernetes reports only later. A weak network takes some seconds to admit the monitor."""
+
+REFUSED_AGAIN = 0.25
+"""Seconds after which the pods of the pool are requested again if the API server refused."""
 
 CLAIMS_MOST = 2
 """How many pods one attempt claims if their agents do not answer. The cause may be the network of the monitor itself."""
@@ -81,10 +85,10 @@ class UninitializedFallback(Strategy):
         unclaimed = self._unclaimed(progress, context)
         return unclaimed[: max(0, len(unclaimed) - self.reserved)]
 
-    async def wait(self, progress: Progress, context: StrategyContext) -> None:
+    async def wait(self, progress: Progress, context: StrategyContext, *, within: float) -> None:
         if committed_target(progress, context) is not None or self._claimed(progress, context) is not None:
             return
-        await self.refresh(context, progress)
+        await self._list(progress, context, within=min(ANSWER_WITHIN, within / 3))
         if progress.planned:  # nothing failed: it takes no pod that other robots need
             if (reason := self.available(context, progress)) is not None:
                 raise NotAvailable(reason)
@@ -126,6 +130,23 @@ class UninitializedFallback(Strategy):
             context.queue.gave_up(me)
         progress.waiting = None
         raise NotAvailable("; ".join(reasons))
+
+    async def _list(self, progress: Progress, context: StrategyContext, *, within: float) -> None:
+        """Request the pods that it could claim. Raises NotAvailable if the API server answers, but not this request, for so long.
+
+        A refusal counts only then: an API server that has just returned may not have loaded the roles yet.
+        """
+        reason = f"the API server did not list the pods of FallbackPool {self.pool} within {within:.3g} s"
+        try:
+            async with answered_time(within, context):
+                while True:
+                    try:
+                        return await self.refresh(context, progress)
+                    except NotAvailable as refused:
+                        reason = str(refused)
+                        await asyncio.sleep(REFUSED_AGAIN)
+        except TimeoutError:
+            raise NotAvailable(reason) from None
 
     def _restarted(self, progress: Progress, context: StrategyContext) -> Instance | None:
         """Return a usable instance that the workload's own controller created meanwhile: then no pod is waited for."""

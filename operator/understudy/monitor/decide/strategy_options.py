@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from understudy.api.base import seconds
+from understudy.failover.interfaces import NotAvailable
 from understudy.failover.strategies.base import Choice, Strategy, StrategyContext
 from understudy.failover.strategies.registry import choices
-from understudy.kube.client import ApiError
 from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.objects.storm_condition import StormCondition
 
@@ -75,5 +75,5 @@ class StrategyOptions:
             async with asyncio.timeout(CHECK_WITHIN):
                 await first.refresh(context)
             return first.available(context)
-        except (ApiError, TimeoutError) as error:
+        except (NotAvailable, TimeoutError) as error:
             return str(error) or "the API server does not answer"

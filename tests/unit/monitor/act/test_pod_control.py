@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import Any
 
 import pytest
 
 from tests.unit.monitor.cluster_objects import NAMESPACE, ClusterObjects, pod_of
 from understudy.api import names
-from understudy.failover.interfaces import Instance
+from understudy.failover.interfaces import Instance, NotAvailable
 from understudy.kube.client import REPLICA_SETS, ApiError
+from understudy.monitor.act.objects import pod_control
 from understudy.monitor.act.objects.pod_control import instance_of
 
 EVICTION = {"type": "DisruptionTarget", "status": "True", "reason": "DeletionByTaintManager"}
@@ -119,3 +121,23 @@ async def test_a_pod_that_may_not_be_replaced_is_not_requested_again() -> None:
         await found.pods.replace([FAILED])
     assert len(found.client.requests) == 1
     assert found.client.items[REPLICA_SETS.plural, NAMESPACE, "w"]["spec"] == {"replicas": 0}
+
+
+async def test_a_refused_list_of_a_pool_is_a_strategy_that_is_not_available() -> None:
+    found = objects(ApiError(403, "Forbidden", "no"))
+    with pytest.raises(NotAvailable, match="FallbackPool spare: 403 Forbidden"):
+        await found.pods.refresh_unclaimed("spare", part=True)
+
+
+async def test_an_api_server_that_does_not_answer_a_list_is_asked_for_something_else(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(pod_control, "LIST_WITHIN", 0.01)
+    found = objects()
+    monkeypatch.setattr(found.client, "table", lambda *_, **__: asyncio.sleep(60))
+    listing = asyncio.create_task(found.pods.refresh_unclaimed("spare"))
+    async with asyncio.timeout(5):
+        while ("GET", names.gate("w"), None) not in found.client.requests:
+            await asyncio.sleep(0.005)
+    assert not listing.done()
+    listing.cancel()

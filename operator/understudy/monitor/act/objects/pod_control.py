@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import logging
 import time
 from collections.abc import Callable, Sequence
@@ -10,9 +12,9 @@ from functools import partial
 
 from understudy.api import names
 from understudy.api.protocol.monitor_settings import WorkloadSettings
-from understudy.failover.interfaces import ClaimLost, Instance
+from understudy.failover.interfaces import ClaimLost, Instance, NotAvailable
 from understudy.kube import claims
-from understudy.kube.client import PODS, REPLICA_SETS, ApiError, Client, Object
+from understudy.kube.client import FAILURES, PODS, REPLICA_SETS, ApiError, Client, Object
 from understudy.kube.watched_collection import any_changed
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.notices import Notices, PodClaimed
@@ -26,6 +28,12 @@ CRASH_LOOP = "CrashLoopBackOff"
 
 EVICTION = "DeletionByTaintManager"
 """Reason in the condition DisruptionTarget of a pod that is deleted because its node is not ready or unreachable."""
+
+LIST_WITHIN = 1.0
+"""Seconds without an answer to a list after which the API server is asked for something small."""
+
+ASK_PERIOD = 0.25
+"""Seconds between two of these requests."""
 
 SHORTEST_GRACE = 1
 """Grace period in seconds for a pod that still reaches the robot. With 0 its object would be gone at once, whether it has ended or not."""
@@ -115,9 +123,26 @@ class PodControl:
         return sorted(fitting, key=lambda i: (i.created, i.name))
 
     async def refresh_unclaimed(self, pool: str, *, part: bool = False) -> None:
-        """List the unclaimed pods of a shared pool, or only the part of them that this workload prefers."""
+        """List the unclaimed pods of a shared pool, or only the part of them that this workload prefers. Raises NotAvailable."""
         asked = claims.part(self._settings.uid) if part else ""
-        await self._view.unclaimed(pool).refresh(asked, self._template_hashes.get(pool, ""))
+        asking = asyncio.create_task(self._ask_for_the_gate())
+        try:
+            await self._view.unclaimed(pool).refresh(asked, self._template_hashes.get(pool, ""))
+        except ApiError as error:
+            raise NotAvailable(f"the API server refuses to list the pods of FallbackPool {pool}: {error}") from error
+        finally:
+            asking.cancel()
+
+    async def _ask_for_the_gate(self) -> None:
+        """Ask the API server for the gate again and again, so that a list without an answer is not taken for an outage (ApiContact)."""
+        await asyncio.sleep(LIST_WITHIN)
+        while True:
+            with contextlib.suppress(*FAILURES):
+                async with asyncio.timeout(LIST_WITHIN):
+                    await self._client.get(
+                        self._view.gate_kind.resource, self._view.namespace, names.gate(self._view.workload)
+                    )
+            await asyncio.sleep(ASK_PERIOD)
 
     def followed(self, pool: str) -> AbstractAsyncContextManager[None]:
         """Watch the unclaimed pods of a shared pool while the context is open."""
