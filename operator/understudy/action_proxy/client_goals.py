@@ -9,8 +9,19 @@ from dataclasses import asdict, dataclass, field
 from enum import Enum
 from typing import Any
 
+from understudy.clock import CLOCK
+
 UNKNOWN, ACCEPTED, EXECUTING, CANCELING, SUCCEEDED, CANCELED, ABORTED = range(7)
 """Values of action_msgs/msg/GoalStatus."""
+
+AGAIN = 0.5
+"""Seconds between two attempts at the active instance."""
+
+MIRROR_AGAIN = 2.0
+"""Seconds between two attempts at a standby."""
+
+_PAST = ("received", "unasked_at", "refused_since", "ended_at")
+"""The times of a goal that are never in the future; 0 if there is none."""
 
 
 class Phase(Enum):
@@ -43,7 +54,7 @@ class Attempt:
     status: int = UNKNOWN
     """The status with which it ended there."""
     after: float = 0.0
-    """Unix seconds from which it may be tried there again."""
+    """From when it may be tried there again."""
 
     @property
     def open(self) -> bool:
@@ -62,7 +73,10 @@ class GoalEnd:
 
 @dataclass
 class Goal:
-    """One goal. Times are Unix seconds, ``accepted`` Unix nanoseconds."""
+    """One goal. Times are of the process's clock (understudy.clock).
+
+    ``accepted`` is of the system's clock, because ROS messages carry it.
+    """
 
     id: str
     action: str
@@ -75,6 +89,7 @@ class Goal:
     """The client's request that is to be answered (see ros/runtime/service_exchange.py)."""
     phase: Phase = Phase.PENDING
     accepted: int = 0
+    """When it was accepted, in Unix nanoseconds."""
     charge: str = ""
     """UID of the instance that decides about the goal; empty if none does."""
     attempts: dict[str, Attempt] = field(default_factory=dict)
@@ -128,33 +143,47 @@ class Goal:
 
     def note(self) -> str:
         """Return the note that an instance keeps with the goal. A proxy without a journal can adopt the goal from this note."""
+        # Only proxies of earlier versions read ``received``.
         kept = ("id", "action", "number", "received", "request", "accepted", "results")
         return json.dumps({name: getattr(self, name) for name in kept})
 
     @classmethod
-    def from_note(cls, note: str, data: str) -> Goal:
-        """Read a note. Raises KeyError, TypeError and ValueError if it is invalid."""
+    def from_note(cls, note: str, data: str, now: float) -> Goal:
+        """Read a note. Raises KeyError, TypeError and ValueError if it is invalid.
+
+        The goal counts as received now, because the clock of the machine that wrote the note is not this one's.
+        """
         found = json.loads(note)
         request = tuple(found["request"]) if found["request"] else None
         results = [tuple(entry) for entry in found["results"]]
-        goal = cls(**{**found, "data": data, "request": request, "results": results})
+        goal = cls(**{**found, "data": data, "request": request, "results": results, "received": now})
         goal.phase = Phase.ACTIVE if goal.accepted else Phase.PENDING
         return goal
 
     def to_wire(self) -> dict[str, Any]:
-        """Return the goal as one JSON object."""
+        """Return the goal as one JSON object, with times of the system's clock."""
         wire = asdict(self)
         wire["phase"] = self.phase.value
+        wire |= {name: CLOCK.to_system(wire[name]) for name in _PAST if wire[name]}
         for attempt in wire["attempts"].values():
             attempt["at"] = attempt["at"].value
+            attempt["after"] = CLOCK.to_system(attempt["after"])
         return wire
 
     @classmethod
-    def from_wire(cls, data: Mapping[str, Any]) -> Goal:
-        """Read the JSON object. Raises KeyError, TypeError and ValueError if it is invalid."""
+    def from_wire(cls, data: Mapping[str, Any], now: float) -> Goal:
+        """Read the JSON object. Raises KeyError, TypeError and ValueError if it is invalid.
+
+        If the clock was set back since it was written, its times count as the latest ones that are possible.
+        """
         goal = cls(**{key: value for key, value in data.items() if key != "tries"})  # of an earlier version
+        for name in _PAST:
+            if moment := getattr(goal, name):
+                setattr(goal, name, min(CLOCK.of_system(moment), now))
         goal.phase = Phase(data["phase"])
         goal.attempts = {uid: Attempt(**{**a, "at": AttemptState(a["at"])}) for uid, a in data["attempts"].items()}
+        for attempt in goal.attempts.values():
+            attempt.after = min(CLOCK.of_system(attempt.after), now + MIRROR_AGAIN)
         goal.end = GoalEnd(**data["end"]) if data["end"] else None
         goal.unasked = GoalEnd(**data["unasked"]) if data["unasked"] else None
         goal.request = tuple(data["request"]) if data["request"] else None

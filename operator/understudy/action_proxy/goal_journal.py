@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import logging
 import os
-import time
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
 from understudy.action_proxy.control_state import TaskRule
 from understudy.action_proxy.goal_ledger import GoalLedger
+from understudy.clock import CLOCK
 
 _logger = logging.getLogger(__name__)
 
@@ -41,7 +41,7 @@ class GoalJournal:
         """
         try:
             data = json.loads(self._path.read_text())
-            return GoalLedger.from_wire(data["ledger"], time.time()), tuple(TaskRule(**rule) for rule in data["rules"])
+            return GoalLedger.from_wire(data["ledger"], CLOCK.now()), tuple(TaskRule(**rule) for rule in data["rules"])
         except FileNotFoundError:
             return GoalLedger(), ()
         except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:

@@ -21,7 +21,9 @@ from typing import Any
 
 from understudy.action_proxy.client_goals import (
     ABORTED,
+    AGAIN,
     CANCELED,
+    MIRROR_AGAIN,
     SUCCEEDED,
     UNKNOWN,
     Attempt,
@@ -31,18 +33,13 @@ from understudy.action_proxy.client_goals import (
     Phase,
 )
 from understudy.action_proxy.control_state import ControlState, TaskRule
+from understudy.clock import CLOCK
 
 UNDECIDED = 60.0
 """Seconds after which a goal that no instance has decided on is rejected: its client may have given up long ago."""
 
 REFUSED = 30.0
 """Seconds for which a goal that was accepted once is offered to a new instance that rejects it."""
-
-AGAIN = 0.5
-"""Seconds between two attempts at the active instance."""
-
-MIRROR_AGAIN = 2.0
-"""Seconds between two attempts at a standby."""
 
 KEPT = 900.0
 """Seconds for which the result of an ended goal is available."""
@@ -118,7 +115,7 @@ class _Cancel:
 
 
 class GoalLedger:
-    """All goals. Times (``now``) are Unix seconds."""
+    """All goals. Times (``now``) are of the process's clock (understudy.clock)."""
 
     def __init__(self) -> None:
         self.situation: ControlState | None = None
@@ -210,13 +207,13 @@ class GoalLedger:
         """
         if uid != self._active or not note:
             return
-        goal = Goal.from_note(note, data)
+        goal = Goal.from_note(note, data, now)
         if goal.id in self.goals or goal.action not in self._rules:
             return
         self.goals[goal.id] = goal
         self._number = max(self._number, goal.number)
         goal.charge, goal.attempts[uid] = uid, Attempt(id)
-        if goal.request and goal.accepted and now - goal.accepted * 1e-9 < JUST_NOW:
+        if goal.request and goal.accepted and _is_recent(goal.accepted, now):
             self._answers.append(GoalAnswer(goal.action, goal.request, True, goal.accepted))
         if ended is not None:
             goal.attempts[uid].at, goal.attempts[uid].status = AttemptState.ENDED, ended[0]
@@ -344,7 +341,7 @@ class GoalLedger:
         Raises KeyError, TypeError and ValueError if it is invalid.
         """
         made = cls()
-        made.goals = {goal.id: goal for goal in map(Goal.from_wire, data["goals"])}
+        made.goals = {goal.id: goal for goal in (Goal.from_wire(one, now) for one in data["goals"])}
         made.resent = dict(data["resent"])
         made._former, made._invited = set(data["former"]), set(data["invited"])
         for entry in data["cancels"]:
@@ -352,7 +349,7 @@ class GoalLedger:
             made._cancels[(entry["request"][0], entry["request"][1])] = cancel
         made._number = max((goal.number for goal in made.goals.values()), default=0)
         for goal in made.goals.values():
-            if goal.request and goal.phase is not Phase.PENDING and now - goal.accepted * 1e-9 < JUST_NOW:
+            if goal.request and goal.phase is not Phase.PENDING and _is_recent(goal.accepted, now):
                 made._answers.append(GoalAnswer(goal.action, goal.request, True, goal.accepted))
             if goal.end is not None and now - goal.ended_at < JUST_NOW:
                 made._answer_results(goal, goal.end)
@@ -391,7 +388,7 @@ class GoalLedger:
 
     def _accept(self, goal: Goal, now: float) -> None:
         if goal.phase is Phase.PENDING:
-            goal.phase, goal.accepted = Phase.ACTIVE, int(now * 1e9)
+            goal.phase, goal.accepted = Phase.ACTIVE, int(CLOCK.to_system(now) * 1e9)
             if goal.request is not None:
                 self._answers.append(GoalAnswer(goal.action, goal.request, True, goal.accepted))
 
@@ -526,3 +523,8 @@ class GoalLedger:
             over = index >= MOST_KEPT or (index > 0 and size > MOST_BYTES)
             if over or now - goal.ended_at >= KEPT:
                 del self.goals[goal.id]
+
+
+def _is_recent(accepted: int, now: float) -> bool:
+    """Whether a goal was accepted (Unix nanoseconds) so recently that its client may not have received the answer."""
+    return now - CLOCK.of_system(accepted * 1e-9) < JUST_NOW

@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import base64
 import logging
-import time
 from collections.abc import Callable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -20,6 +19,7 @@ from understudy.action_proxy.goal_journal import GoalJournal
 from understudy.action_proxy.goal_ledger import Answer, CancelAnswer, GoalAnswer, Order
 from understudy.action_proxy.instance_link import InstanceLink
 from understudy.api.protocol.agent_messages import GateEpoch
+from understudy.clock import CLOCK
 from understudy.ros.actions.action_endpoints import (
     ActionServer,
     ActionType,
@@ -77,7 +77,7 @@ class Proxy:
 
     def place(self, situation: ControlState) -> None:
         """Apply a state of control from the monitor."""
-        self._ledger.place(situation, time.time())
+        self._ledger.place(situation, CLOCK.now())
         if (present := self._ledger.situation) is None or present != situation:
             return
         # The answers for tasks that were removed need their servers, which still exist here.
@@ -135,18 +135,18 @@ class Proxy:
         elif goal["state"] not in ("waiting", "running"):
             return
         try:
-            self._ledger.adopt(uid, goal["id"], goal.get("note", ""), goal.get("data", ""), ended, time.time())
+            self._ledger.adopt(uid, goal["id"], goal.get("note", ""), goal.get("data", ""), ended, CLOCK.now())
         except (KeyError, TypeError, ValueError) as error:
             _logger.error("goal %s of an earlier proxy cannot be adopted: %r", goal["id"], error)
 
     def goal_reported(self, uid: str, id: str, at: AttemptState, status: int, result: str) -> None:
         """Record the state of one of the instance's goals."""
-        self._ledger.report(uid, id, at, time.time(), status=status, result=result)
+        self._ledger.report(uid, id, at, CLOCK.now(), status=status, result=result)
         self._conclude()
 
     def cancel_answered(self, uid: str, id: str, accepted: bool) -> None:
         """Record the instance's answer to a cancel."""
-        self._ledger.cancel_answered(uid, id, accepted, time.time())
+        self._ledger.cancel_answered(uid, id, accepted, CLOCK.now())
         self._conclude()
 
     def feedback_received(self, uid: str, id: str, data: bytes) -> None:
@@ -173,11 +173,11 @@ class Proxy:
     def _asked(self, action: str) -> RequestHandlers:
         def goal(request: RequestId, id: str, data: bytes) -> None:
             _logger.info("goal %s of %s asked for", id, action)
-            self._ledger.ask(action, id, base64.b64encode(data).decode(), request, time.time())
+            self._ledger.ask(action, id, base64.b64encode(data).decode(), request, CLOCK.now())
             self._conclude()
 
         def cancel(request: RequestId, asked: CancelRequest) -> None:
-            self._ledger.cancel(action, asked.goal, asked.until, request, time.time())
+            self._ledger.cancel(action, asked.goal, asked.until, request, CLOCK.now())
             self._conclude()
 
         def result(request: RequestId, id: str) -> None:
@@ -190,7 +190,7 @@ class Proxy:
 
     def _conclude(self) -> None:
         """Draw the conclusions, store them, and carry them out."""
-        now = time.time()
+        now = CLOCK.now()
         answers = self._ledger.advance(now)
         try:
             self._journal.save(self._ledger, self._rules)
