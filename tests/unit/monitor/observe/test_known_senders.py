@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 
+import pytest
+
+from tests.support.clock import set_clock
 from understudy.failover.interfaces import Instance
 from understudy.failover.pinned import PinnedPod
 from understudy.monitor.observe.robot.known_senders import REMEMBERED, SILENT_FOR, KnownSender, KnownSenders
@@ -65,3 +69,22 @@ def test_an_address_that_a_new_instance_has_is_no_longer_that_of_the_old_one() -
     later = NOW + REMEMBERED
     known = updated(senders, later, successor, pinned=[PIN], heard={"10.0.0.1": later})
     assert list(known) == ["w-3"], "samples from there are the successor's"
+
+
+@pytest.mark.parametrize("step", [3600.0, -3600.0], ids=["forward", "back"])
+def test_a_step_of_the_clock_neither_hides_nor_keeps_an_instance_that_is_gone(
+    monkeypatch: pytest.MonkeyPatch, step: float
+) -> None:
+    senders = KnownSenders()
+    begun = time.time()
+    updated(senders, begun, FORMER, ACTIVE, pinned=[PIN])
+    heard = {"10.0.0.1": begun + 90}
+    assert updated(senders, begun + 100, ACTIVE, pinned=[PIN], heard=heard)["w-1"].attributed
+    set_clock(monkeypatch, step)
+    # The record of the samples is moved only after this update.
+    assert updated(senders, begun + step + 101, ACTIVE, pinned=[PIN], heard=heard)["w-1"].attributed
+    moved = {"10.0.0.1": heard["10.0.0.1"] + step}
+    kept = updated(senders, begun + step + 90 + SILENT_FOR - 1, ACTIVE, pinned=[PIN], heard=moved)
+    assert not kept["w-1"].attributed
+    late = begun + step + 101 + SILENT_FOR
+    assert "w-1" not in updated(senders, late, ACTIVE, pinned=[PIN], heard=moved)

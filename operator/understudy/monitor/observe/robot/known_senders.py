@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from understudy.clock import ClockSteps
 from understudy.failover.interfaces import Instance
 from understudy.failover.pinned import PinnedPod
 from understudy.ros.rmw import MIDDLEWARE
@@ -37,7 +38,7 @@ class KnownSender:
     uid: str
     ip: str
     seen: float
-    """When its object was last seen, or when this process first read that it was let through."""
+    """When its object was last seen or an output of it was heard, or when this process first read that it was let through."""
     listed: bool
     """Whether its object exists."""
     pinned: bool = False
@@ -68,6 +69,7 @@ class KnownSenders:
 
     def __init__(self) -> None:
         self._known: dict[str, KnownSender] = {}
+        self._steps = ClockSteps()
         self._released: set[str] = set()
         """UIDs of pinned instances that were silent for long enough."""
 
@@ -83,6 +85,9 @@ class KnownSenders:
         ``heard`` returns when an output was last heard from an IP (Unix seconds).
         """
         before, self._known = self._known, {}
+        if step := self._steps.taken():
+            for sender in before.values():
+                sender.seen += step
         for instance in instances:
             if instance.ip:
                 self._known[instance.uid] = KnownSender(instance.name, instance.uid, instance.ip, now, listed=True)
@@ -98,10 +103,11 @@ class KnownSenders:
             if uid in self._known:
                 continue
             is_pinned = uid in pins
-            sender.seen = min(sender.seen, now)  # the clock may have been set back
             is_replaced = sender.ip in taken  # what is heard from there is the successor's
             last_heard = heard(sender.ip) if not is_replaced else None
-            silent = now - max(sender.seen, min(last_heard or 0.0, now))
+            # If the clock was just set, the time of a sample may still be of the clock before.
+            sender.seen = max(sender.seen, min(last_heard or 0.0, now))
+            silent = now - sender.seen
             if silent >= (SILENT_FOR if is_pinned and not is_replaced else REMEMBERED):
                 self._released |= {uid} if is_pinned else set()
                 continue
