@@ -183,8 +183,11 @@ class MonitorLoop:
         self.report.status_conditions.none_active(candidates, recovering=decision.reason == "RecoveryUnderWay")
         if decision.reason == "NoPodRunning":
             await self.act.opening.request_pod(now)
-        elif isinstance(decision, Activate) and await self.act.opening.open(candidates.first):
-            self.judge.detector.watch()
+        elif decision.reason == "StillDriven":
+            await self.act.opening.ask(candidates.first)
+        elif isinstance(decision, Activate):
+            await self.act.opening.open(candidates.first)
+            self.judge.detector.watch()  # also after a request without an answer, which may be carried out later
 
     async def resume(self) -> None:
         """Finish what another monitor began."""

@@ -37,7 +37,11 @@ class MemoryClient(Client):
 
     def _note(self, method: str, name: str, body: Any = None) -> None:
         self.requests.append((method, name, body))
-        if error := self.failing(method, name):
+        error = self.failing(method, name)
+        with self.contact.asking():
+            if error is not None and not isinstance(error, ApiError):
+                raise error
+        if error is not None:
             raise error
 
     def store(self, resource: Resource, namespace: str, item: Object) -> Object:

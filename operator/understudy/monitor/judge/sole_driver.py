@@ -29,7 +29,10 @@ MEMORY = 60.0
 """Seconds for which a sign is remembered, so that a slow sender counts too."""
 
 LISTEN = 2.0
-"""Seconds that a new monitor listens before it opens a closed gate. Agents probe once a second."""
+"""Seconds that a monitor listens before it opens a closed gate, if it is new or was cut off. Agents probe once a second."""
+
+CUT_OFF = 1.0
+"""Seconds without an answer of the API server after which this monitor's network may be down, and then its silence says nothing."""
 
 PERIOD = 0.2
 """Seconds between two updates."""
@@ -217,6 +220,9 @@ class SoleDriver:
     def track(self, instances: Sequence[Instance], now: float) -> bool:
         """Take the signs up to now, at most every PERIOD seconds. Returns whether the gate has changed."""
         self._follow_clock()
+        since = self._gate.unanswered_since
+        if since is not None and asyncio.get_running_loop().time() - since >= CUT_OFF:
+            self._listening_since = time.monotonic()
         state = self._gate.state
         through = frozenset(uid for uid in (state.active_uid, state.admitted_uid) if uid)
         is_other = through != self._through
@@ -271,10 +277,10 @@ class SoleDriver:
     def may_be_driven(self, now: float) -> bool:
         """Return whether an instance that drove before may still drive, so that the gate must not open for another one.
 
-        It was heard of late, or this monitor has only just begun to listen for it.
+        It was heard of late, or this monitor has not listened for long enough since it can hear it.
         """
-        is_new = time.monotonic() - self._listening_since < LISTEN
-        if is_new and any(pod.uid != self.rightful for pod in self._gate.state.pinned):
+        is_deaf = self._gate.unanswered_since is not None or time.monotonic() - self._listening_since < LISTEN
+        if is_deaf and any(pod.uid != self.rightful for pod in self._gate.state.pinned):
             return True
         signs = (one.sign for one in self._tracks.values() if one.is_heard(now))
         return any(sign.uid and sign.is_former and sign.uid != self.rightful for sign in signs)

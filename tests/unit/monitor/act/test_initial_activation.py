@@ -90,7 +90,7 @@ async def test_opening_the_gate_for_another_instance_counts_the_last_driver_as_f
     left = Progress.begin("it ended", last_healthy=0.0, detected=0.0, failed=[PodIdentity(name="w-0", uid="uid-0")])
     pinned = tuple(PinnedPod(name=f"w-{number}", uid=f"uid-{number}", ip=f"10.0.0.{number}") for number in (3, 0))
     objects.put_gate(GateState(epoch=4, recovery=left, pinned=pinned))
-    assert await GateOpening(objects.pods, objects.gate, objects.notices).open(ACTIVE)
+    await GateOpening(objects.pods, objects.gate, objects.notices).open(ACTIVE)
     ((target, progress),) = objects.commits
     assert progress is not None
     assert (target, [pod.name for pod in progress.failed]) == ("w-1", ["w-0", "w-3"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,8 +17,9 @@ from understudy.api.kinds.pause_spec import Pause
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.pinned import PinnedPod
 from understudy.kube.client import ApiError
+from understudy.monitor.act.gate import gate_opening
 from understudy.monitor.judge import sole_driver
-from understudy.monitor.judge.sole_driver import QUIET
+from understudy.monitor.judge.sole_driver import MEMORY, QUIET
 from understudy.monitor.observe.robot.known_senders import KnownSender, OutputSender
 from understudy.trees.core.health_tree import Verdict
 
@@ -170,3 +172,34 @@ async def test_a_new_monitor_listens_before_it_opens_a_closed_gate(
     monkeypatch.setattr(sole_driver, "LISTEN", 0.0)
     await second.look()
     assert second.commits == ["w-1"]
+
+
+async def test_after_an_outage_a_closed_gate_does_not_open_before_the_monitor_has_listened_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driven = await switched(tmp_path, FORMER, ACTIVE)
+    pinned = tuple(PinnedPod(name=pod.name, uid=pod.uid, ip=pod.ip) for pod in (ACTIVE, FORMER))
+    driven.objects.put_gate(replace(driven.objects.gate.state, pinned=pinned))
+    await driven.hear(FORMER, ACTIVE)
+    assert driven.commits == [""]
+    monkeypatch.setattr(gate_opening, "OPEN_WITHIN", 0.02)
+    monkeypatch.setattr(gate_opening, "OPEN_AGAIN", 0.0)
+    monkeypatch.setattr(sole_driver, "CUT_OFF", 0.0)
+    # The network of the monitor's node is down: it hears nobody, and the API server does not answer.
+    driven.observer.heard = []
+    driven.objects.client.failing = lambda method, name: OSError("unreachable")
+    await driven.look(QUIET + 1)
+    tried = len(driven.commits)
+    await driven.look()
+    assert len(driven.commits) == tried, "it only asks whether the API server answers"
+    driven.objects.client.failing = lambda method, name: None
+    await driven.look()  # it answers
+    await driven.look()
+    assert driven.objects.gate.state.closed, "w-1 may drive, and is not heard yet"
+    await driven.hear(FORMER)
+    monkeypatch.setattr(sole_driver, "LISTEN", 0.0)
+    await driven.look()
+    assert driven.objects.gate.state.closed
+    driven.observer.heard = []
+    await driven.look(MEMORY)
+    assert driven.objects.gate.state.active == "w-2"

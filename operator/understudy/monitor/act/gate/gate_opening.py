@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
+import math
+import time
 
 from understudy.failover.abandoned import ended
-from understudy.failover.interfaces import Gate, Instance, Instances, Superseded
+from understudy.failover.interfaces import Instance, Instances, Superseded
 from understudy.failover.progress import PodIdentity
 from understudy.kube.client import FAILURES
+from understudy.monitor.act.objects.gate_control import GateControl
 from understudy.monitor.notices import Notices
 
 _logger = logging.getLogger(__name__)
@@ -16,16 +20,26 @@ _logger = logging.getLogger(__name__)
 ASK_AGAIN = 2.0
 """Seconds until a pod is requested again, if none runs."""
 
+OPEN_WITHIN = 2.0
+"""Seconds that the API server has to open the gate. After that it is decided again: another instance may have been heard meanwhile."""
+
+OPEN_AGAIN = 1.0
+"""Seconds after a request without success until the next one."""
+
 
 class GateOpening:
     """Opens the gate of one workload while it is closed. Times are Unix seconds."""
 
-    def __init__(self, fleet: Instances, gate: Gate, notices: Notices) -> None:
+    def __init__(self, fleet: Instances, gate: GateControl, notices: Notices) -> None:
         self._fleet, self._gate, self._notices = fleet, gate, notices
         self._next_asked = 0.0
+        self._open_after = -math.inf
+        """When the next request is due (monotonic seconds)."""
 
-    async def open(self, first: Instance) -> bool:
-        """Open the gate for a pod; return whether it was opened."""
+    async def open(self, first: Instance) -> None:
+        """Open the gate for a pod, unless the last request was a moment ago."""
+        if time.monotonic() < self._open_after:
+            return
         # The recovery that closed the gate has ended, but the other pods that failed in it still count as failed. So does the one that
         # drove last: it may have failed just before the gate closed for a leak.
         state = self._gate.state
@@ -35,14 +49,23 @@ class GateOpening:
             failed = [pod for pod in (*left.failed, *last) if pod.uid != first.uid]
             left = ended(left).model_copy(update={"failed": failed})
         try:
-            await self._gate.commit(first, left)
+            async with asyncio.timeout(OPEN_WITHIN):
+                await self._gate.commit(first, left)
         except (Superseded, *FAILURES) as error:
-            _logger.warning("could not open the gate for %s: %s", first.name, error)
-            await asyncio.sleep(1)
-            return False
+            _logger.warning("could not open the gate for %s: %r", first.name, error)
+            self._open_after = time.monotonic() + OPEN_AGAIN
+            return
         _logger.info("gate opened for %s, epoch %d", first.name, self._gate.state.epoch)
         self._notices.event("Normal", "InControl", f"{first.name} is active, epoch {self._gate.state.epoch}")
-        return True
+
+    async def ask(self, first: Instance) -> None:
+        """Find out whether the API server answers again, if it does not, unless the last request was a moment ago."""
+        if self._gate.unanswered_since is None or time.monotonic() < self._open_after:
+            return
+        self._open_after = time.monotonic() + OPEN_AGAIN
+        with contextlib.suppress(*FAILURES):
+            async with asyncio.timeout(OPEN_WITHIN):
+                await self._gate.lets_through(first)
 
     async def request_pod(self, now: float) -> None:
         """Have the workload's own controller run a pod. The controller may have been scaled to zero while a pod of a shared pool was
