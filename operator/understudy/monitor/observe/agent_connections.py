@@ -48,7 +48,7 @@ CONFIRM_WITHIN = 2.0
 """Seconds for one such answer."""
 
 RETRY_API = 0.25
-"""Seconds before an API server that did not answer is asked again."""
+"""Seconds before an API server that did not answer, or refused, is asked again."""
 
 SLOWEST = 2 * 1024 * 1024
 """Minimum rate at which an agent receives kept messages, in bytes per second. The agent's own deadline starts only when it has
@@ -74,6 +74,8 @@ class AgentConnections:
         self._connecting: dict[str, asyncio.Task[AgentLink | None]] = {}
         self._tokens: dict[str, bytes] = {}
         self._read_at: dict[str, float] = {}
+        self._unread_at: dict[str, float] = {}
+        """When a Secret could not be read, by its name."""
         self._configured: dict[str, object] = {}
         self._instances: dict[str, Instance] = {}
         self._driving: dict[str, str] = {}
@@ -184,6 +186,8 @@ class AgentConnections:
 
     async def _token(self, secret: str, *, again: bool = False) -> bytes | None:
         if again or secret not in self._tokens:
+            if not again and time.monotonic() - self._unread_at.get(secret, -math.inf) < RETRY_API:
+                return None
             self._read_at[secret] = time.monotonic()
             try:
                 item = await self._client.get(SECRETS, self._view.namespace, secret)
@@ -192,6 +196,7 @@ class AgentConnections:
                 _logger.warning(
                     "cannot read Secret %s, without which the monitor cannot connect to agents: %r", secret, error
                 )
+                self._unread_at[secret] = time.monotonic()
                 return None
         return self._tokens[secret]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,10 @@ from understudy.api import names
 from understudy.failover import pinned
 from understudy.failover.interfaces import GateState, Instance, Superseded
 from understudy.failover.progress import PodIdentity, Progress
-from understudy.kube.client import NETWORK_POLICIES, Object
+from understudy.kube.client import NETWORK_POLICIES, ApiError, Object
 from understudy.kube.gates.base import GateRecord
 from understudy.kube.gates.kinds.network_policy import GATE
+from understudy.monitor.act.objects import gate_control
 from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.wakeups import Wakeups
 
@@ -212,3 +214,76 @@ async def test_a_gate_that_nobody_edited_is_not_written() -> None:
     ):
         objects.put_gate(state)
         assert not await objects.gate.restore_routing()
+
+
+@pytest.mark.parametrize("status", [409, 429, 503])
+async def test_a_commit_that_the_api_server_refuses_for_now_is_repeated_with_pauses(
+    client: MemoryClient, found: ClusterView, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, status: int
+) -> None:
+    monkeypatch.setattr(gate_control, "RETRY_FIRST", 0.05)
+    gate, loop = await open_gate(client, found, tmp_path, FAILED), asyncio.get_running_loop()
+    asked: list[float] = []
+
+    def refuse(method: str, name: str) -> Exception | None:
+        if method == "PATCH":
+            asked.append(loop.time())
+        return ApiError(status, "Refused", "later") if method == "PATCH" and len(asked) < 4 else None
+
+    client.failing = refuse
+    await gate.commit(None, recovery())
+    assert gate.state.closed
+    assert asked[-1] - asked[0] >= 0.05 + 0.1
+
+
+async def test_a_commit_over_a_gate_that_was_written_meanwhile_is_repeated_at_once(
+    client: MemoryClient, found: ClusterView, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gate_control, "RETRY_FIRST", 60.0)
+    gate = await open_gate(client, found, tmp_path, FAILED)
+    await client.patch(NETWORK_POLICIES, "fleet", "w-gate", {"metadata": {"labels": {"app": "v"}}})
+    async with asyncio.timeout(5):
+        await gate.commit(None, recovery())
+    assert gate.state.closed
+
+
+async def test_a_commit_is_tried_again_soon_once_the_api_server_answers_again(
+    client: MemoryClient, found: ClusterView, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gate_control, "RETRY_FIRST", 0.01)
+    monkeypatch.setattr(gate_control, "RETRY_MOST", 60.0)
+    gate, loop = await open_gate(client, found, tmp_path, FAILED), asyncio.get_running_loop()
+    errors: list[Exception] = [*[OSError("away")] * 5, ApiError(503, "Starting", ""), ApiError(403, "Forbidden", "")]
+    asked: list[float] = []
+
+    def answer(method: str, name: str) -> Exception | None:
+        if method == "PATCH":
+            asked.append(loop.time())
+        return errors.pop(0) if method == "PATCH" and errors else None
+
+    client.failing = answer
+    await gate.commit(None, recovery())
+    assert len(asked) == 8
+    assert asked[-1] - asked[-3] < 16 * 0.01, "less than the last pause of the outage"
+
+
+async def test_a_refused_repair_of_the_gate_is_repeated_once_a_second_or_if_the_gate_changes() -> None:
+    objects = ClusterObjects()
+    objects.put_gate(GateState(epoch=4, active="w-1", active_uid="u1"))
+    view, resource = objects.view, objects.view.gate_kind.resource
+
+    async def edit(app: str) -> None:
+        patch = {"spec": {"podSelector": {"matchLabels": {"app": app}}}}
+        view.gates.put(await objects.client.patch(resource, view.namespace, objects.gate_name, patch))
+
+    def repairs() -> int:
+        return sum(method == "PATCH" for method, _, _ in objects.client.requests)
+
+    await edit("other")
+    objects.client.failing = lambda method, name: ApiError(403, "Forbidden", "no") if method == "PATCH" else None
+    objects.client.requests.clear()
+    for _ in range(50):
+        await objects.gate.restore_routing()
+    assert repairs() == 1
+    objects.client.failing = lambda method, name: None
+    await edit("another")
+    assert await objects.gate.restore_routing()

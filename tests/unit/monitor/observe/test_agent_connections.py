@@ -15,7 +15,7 @@ from understudy.api import names
 from understudy.api.protocol import agent_messages as wire
 from understudy.api.protocol.agent_messages import AgentStatus
 from understudy.failover.interfaces import Instance
-from understudy.kube.client import SECRETS
+from understudy.kube.client import SECRETS, ApiError
 from understudy.monitor.observe import agent_connections as module
 from understudy.monitor.observe.agent_connections import AgentConnections
 from understudy.monitor.observe.current_recovery import CurrentRecovery
@@ -78,13 +78,17 @@ def reads(client: MemoryClient) -> int:
     return sum(method == "GET" for method, _, _ in client.requests)
 
 
+def connections() -> tuple[MemoryClient, AgentConnections]:
+    objects = ClusterObjects()
+    client, roles = objects.client, InstanceRoles(objects.view, objects.gate, CurrentRecovery())
+    return client, AgentConnections(client, objects.view, "127.0.0.1", objects.crash_points, roles, objects.wakeups)
+
+
 async def test_a_recreated_secret_is_read_when_an_agent_refuses_the_token(
     agent: Agent, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "READ_AGAIN", 2.5, raising=False)
-    objects = ClusterObjects()
-    client, roles = objects.client, InstanceRoles(objects.view, objects.gate, CurrentRecovery())
-    agents = AgentConnections(client, objects.view, "127.0.0.1", objects.crash_points, roles, objects.wakeups)
+    client, agents = connections()
     await keep(client, b"first")
     agents.follow([INSTANCE])
     await eventually(lambda: agent.refused >= 2)
@@ -99,3 +103,16 @@ async def test_a_recreated_secret_is_read_when_an_agent_refuses_the_token(
             await asyncio.sleep(0.01)
     assert await agents.token(INSTANCE) == b"second"
     agents.follow([])
+
+
+async def test_a_secret_that_cannot_be_read_is_requested_again_after_a_pause(monkeypatch: pytest.MonkeyPatch) -> None:
+    client, agents = connections()
+    await keep(client, b"first")
+    client.requests.clear()
+    monkeypatch.setattr(module, "RETRY_API", 60.0)
+    client.failing = lambda method, name: ApiError(429, "TooManyRequests", "later")
+    assert [await agents.token(INSTANCE) for _ in range(20)] == [None] * 20
+    assert reads(client) == 1
+    client.failing = lambda method, name: None
+    monkeypatch.setattr(module, "RETRY_API", 0.0)
+    assert await agents.token(INSTANCE) == b"first"

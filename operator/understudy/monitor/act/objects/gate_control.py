@@ -28,6 +28,9 @@ _logger = logging.getLogger(__name__)
 
 RETRY_FIRST, RETRY_MOST = 0.05, 0.25  # seconds; an executing standby drives so soon after the API server is back
 
+WRITE_AGAIN = 1.0
+"""Seconds before a failed repair of the gate is tried again."""
+
 TRY_WITHIN = 2.0
 """Seconds after which a commit without an answer is tried again, over a new connection."""
 
@@ -58,6 +61,8 @@ class GateControl:
         self._cached: tuple[int, GateState] = (-1, GateState())
         self._routed = -1
         """The revision of the gate that lets those through whom its record names."""
+        self._refused: tuple[int, float] = (-1, 0.0)
+        """The revision of the gate whose repair failed last, and when that may be tried again (monotonic seconds)."""
         self._own: tuple[str, int, str] = ("", 0, "")
         """The recovery that this monitor committed last: its id, the epoch of the commit, and the record that was sent with it."""
 
@@ -112,6 +117,7 @@ class GateControl:
         if (instance := target) is not None:
             await claims.answered(lambda: self._fleet.label(instance))
         record, retry, away, workload = previous, RETRY_FIRST, -math.inf, self._view.workload
+        is_away = was_overtaken = False
         name, uid = (target.name, target.uid) if target else ("", "")
         self._crash_points.step("before commit")
         recovery = progress.model_copy(update={"epoch": previous.epoch + 1}).record() if progress else ""
@@ -140,11 +146,13 @@ class GateControl:
                 if error.status < 500 and error.status not in (409, 429) and not waking:
                     raise
                 _logger.warning("could not commit to the gate, trying again: %s", error)
-                if waking:
-                    await asyncio.sleep(RETRY_FIRST)
+                if is_away:  # it answers again, and soon does what it is asked for
+                    is_away, retry = False, RETRY_FIRST
+                at_once, was_overtaken = error.conflict and not was_overtaken, was_overtaken or error.conflict
             except NO_ANSWER as error:
                 _logger.warning("could not commit to the gate, trying again: the API server does not answer: %r", error)
-                away = time.monotonic()
+                is_away, away, at_once = True, time.monotonic(), False
+            if not at_once:
                 await asyncio.sleep(retry)
                 retry = min(2 * retry, RETRY_MOST)
             read = await self._reread(previous, uid, recovery)
@@ -233,10 +241,13 @@ class GateControl:
     async def restore_routing(self) -> bool:
         """Let those through again whom the record names, if somebody edited the gate. Returns whether the gate was written.
 
-        Control does not change, so the epoch stays. A failed write is not repeated, as in :meth:`admit`.
+        Control does not change, so the epoch stays. A failed write is repeated by a later call: once the gate has changed, or after
+        WRITE_AGAIN seconds.
         """
         revision = self._view.gates.revision
         if revision == self._routed:  # each evaluation asks
+            return False
+        if revision == self._refused[0] and time.monotonic() < self._refused[1]:
             return False
         record, gate = self.record, self._view.gate_object
         if record is None or gate is None:
@@ -251,6 +262,7 @@ class GateControl:
                 gate = await self._kind.write(self._client, self._view.namespace, self._view.workload, patch)
         except FAILURES as error:
             _logger.warning("could not restore whom the gate lets through: %r", error)
+            self._refused = (revision, time.monotonic() + WRITE_AGAIN)
             return False
         self._view.gates.put(gate)
         words = f"the gate did not let through {record.active or 'nobody'}, as its record says: somebody had edited it"
