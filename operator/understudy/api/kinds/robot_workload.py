@@ -339,7 +339,7 @@ class Moments(Model):
     """When the first output of the understudy arrived through the gate."""
     verified: Time | None = None
     """When outputs of the understudy had arrived through the gate, and the monitor had heard no other known instance for
-    one of its periods and a margin. Only outputs that the health tree watches count, and probe packets."""
+    one of its periods and a margin. Outputs that are topics count, and probe packets."""
 
 
 class Attempt(Model):

@@ -57,21 +57,27 @@ def test_a_vanished_instance_that_was_let_through_is_heard_by_a_new_monitor(obse
     assert observer.addresses == {"w-1": address}, "its samples do not count for the active instance"
 
 
-async def test_the_period_of_another_instance_is_that_of_its_samples(observer: HealthObserver) -> None:
-    beat = publisher(observer, "/beat", String)
+@pytest.mark.parametrize(("topic", "message"), [("/beat", String()), ("/arm", Twist())])
+async def test_another_instance_is_heard_on_each_output_with_the_period_of_its_samples(
+    observer: HealthObserver, topic: str, message: String | Twist
+) -> None:
+    publisher(observer, "/beat", String)
+    output = publisher(observer, topic, type(message))
     former = Instance("w-1", "uid-1", ip=own_address(observer))
     active = Instance("w-2", "uid-2", ip="10.255.255.1")
     until(
         observer,
-        lambda: len(observer.arrivals("/beat", "w-1")) > 5,
-        each=lambda: beat.publish(String()),
+        lambda: len(observer.arrivals(topic, "w-1")) > 5,
+        each=lambda: output.publish(message),
         instances=[former],
     )
     objects = ClusterObjects()
     objects.put_pods(former, active)
     objects.put_gate(GateState(epoch=4, active="w-2", active_uid="uid-2"))
     readers = observer.outputs(objects.pods, objects.gate)
-    arrivals = list(observer.arrivals("/beat", "w-1"))
+    arrivals = list(observer.arrivals(topic, "w-1"))
+    assert readers.last_from_others(active) == (CLOCK.of_system(arrivals[-1]), "w-1")
+    assert readers.last_from_others(former) == (0.0, "")
     mean = (arrivals[-1] - arrivals[0]) / (len(arrivals) - 1)
     assert readers.period_of_others(active) == pytest.approx(mean)
     assert readers.period_of_others(former) == 0.0

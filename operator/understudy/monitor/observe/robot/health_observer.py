@@ -171,9 +171,14 @@ class HealthObserver:
         return offers(self.graph.offered(topic))
 
     @property
+    def output_topics(self) -> list[str]:
+        """The outputs that are topics. Only one instance may publish them, also if the health tree does not watch them."""
+        return list(dict.fromkeys(output.topic for output in self._outputs if output.topic))
+
+    @property
     def gated(self) -> list[str]:
         """Gated topics that the health tree watches."""
-        outputs = {output.topic for output in self._outputs if output.topic}
+        outputs = set(self.output_topics)
         judged = self._tree.judged if self._tree else []
         return [topic.name for topic in judged if topic.subscribed and topic.name in outputs]
 
@@ -205,7 +210,7 @@ class HealthObserver:
     def _last_at(self, ip: str) -> float | None:
         """Return when an output was last heard from an address; None if never."""
         host = host_at(ip)
-        topics = (output.topic for output in self._outputs if output.topic)
+        topics = self.output_topics
         found = [record.last for topic in topics if (record := self._watching.records(topic).get(host)) is not None]
         return max((last for last in found if last is not None), default=None)
 
@@ -219,7 +224,7 @@ class HealthObserver:
         for sender in self._senders.all():
             hosts.setdefault(host_at(sender.ip), []).append(sender)
         found: list[OutputSender] = []
-        for topic in dict.fromkeys(output.topic for output in self._outputs if output.topic):
+        for topic in self.output_topics:
             for host, record in self._watching.records(topic).items():
                 if record.last is None or host == self.own_host or time.time() - record.last > REMEMBERED:
                     continue
@@ -355,7 +360,7 @@ class GatedReaders:
     def last_from_others(self, instance: Instance) -> tuple[float, str]:
         """Return when a sample of another instance last passed the gate, and from which pod. The time is 0 if never."""
         self._drain()
-        topics, name = self._observer.gated, instance.name
+        topics, name = self._observer.output_topics, instance.name
         found = [last for topic in topics if (last := self._watching.last_from_others(topic, name)) is not None]
         if not found:
             return 0.0, ""
@@ -376,8 +381,8 @@ class GatedReaders:
     def period_of_others(self, instance: Instance) -> float:
         """Return the longest usual time in seconds between two samples of another instance on one topic; 0 if none was heard of late."""
         self._drain()
-        name = instance.name
-        return max((self._watching.period_of_others(topic, name) for topic in self._observer.gated), default=0.0)
+        topics, name = self._observer.output_topics, instance.name
+        return max((self._watching.period_of_others(topic, name) for topic in topics), default=0.0)
 
     def _drain(self) -> None:
         state = self._gate.state
