@@ -1,14 +1,14 @@
 """Selects the strategy that a recovery starts with, and skips one whose instance failed as soon as it was active; pure.
 
 An application that crashes right after its start may still be seen to drive for a moment. Each recovery with the same strategy would then
-verify, and the robot would never be driven for long. limits.healthyDelay defines how long is long enough. Times are unix seconds.
+verify, and the robot would never be driven for long. limits.healthyDelay defines how long is long enough. Times are of the process's
+clock (understudy.clock): a step of the system's clock does not change how long an instance was active.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from understudy.clock import CLOCK
 from understudy.failover.progress import Progress
 
 
@@ -26,7 +26,7 @@ class Takeover:
         """Return the takeover of a finished recovery; None if it does not count against a strategy."""
         if done.result != "Recovered" or done.target is None or done.taken_over is not None or done.follows:
             return None
-        return cls(done.target.uid, done.index, CLOCK.to_system(done.moments.get("verified", done.cursor)))
+        return cls(done.target.uid, done.index, done.moments.get("verified", done.cursor))
 
     def lived(self, uid: str, until: float) -> float | None:
         """Return for how many seconds the instance had been active at a time; None for any other instance."""

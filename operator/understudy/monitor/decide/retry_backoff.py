@@ -7,6 +7,7 @@ import time
 
 from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.clock import CLOCK
 from understudy.failover.limits import cooldown
 from understudy.failover.limits.backoff import FIRST, Backoff
 from understudy.failover.limits.escalation import Takeover, first_strategy
@@ -84,20 +85,26 @@ class RetryBackoff:
         self._backoff = self._backoff.failed(time.time(), policy)
 
     def first(self, onset: float, failed_uid: str) -> int | None:
-        """Return the index of the strategy to start with; None if the instance of every strategy failed as soon as it was active."""
+        """Return the index of the strategy to start with after a failure that began at ``onset``.
+
+        None if the instance of every strategy failed as soon as it was active.
+        """
         if (policy := self._view.policy) is None or self._view.settings is None:
             return 0
         delay = seconds(policy.limits.healthy_delay)
-        return first_strategy(self._latest, failed_uid, onset, len(policy.strategies), healthy_delay=delay)
+        return first_strategy(
+            self._latest, failed_uid, CLOCK.of_system(onset), len(policy.strategies), healthy_delay=delay
+        )
 
     def begin(self, failure: Failure, failed_uid: str) -> None:
         """Note that a recovery begins. Report it if the active instance failed soon after it took over."""
         latest, self._latest = self._latest, None
+        onset = CLOCK.of_system(failure.onset)
         policy = self._view.policy
-        if policy is None or latest is None or (lived := latest.lived(failed_uid, failure.onset)) is None:
+        if policy is None or latest is None or (lived := latest.lived(failed_uid, onset)) is None:
             return
         delay = policy.limits.healthy_delay
-        if first_strategy(latest, failed_uid, failure.onset, len(policy.strategies), healthy_delay=seconds(delay)):
+        if first_strategy(latest, failed_uid, onset, len(policy.strategies), healthy_delay=seconds(delay)):
             text = (
                 f"{failure.reason}, {max(0.0, lived):.1f} s after it took over (limits.healthyDelay is {delay}); the next "
                 "strategy is tried"

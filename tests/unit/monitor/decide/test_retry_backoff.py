@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import pytest
 
-from tests.support.clock import Clock
+from tests.support.clock import Clock, set_clock
 from tests.support.golden import assert_golden
 from tests.support.notices import RecordedNotices
 from tests.unit.monitor.cluster_objects import ClusterObjects
 from tests.unit.monitor.takeovers import policy, took_over
 from understudy.api.kinds.robot_workload import Attempt, Recovery
+from understudy.clock import CLOCK
 from understudy.failover.limits.backoff import FIRST as BACKOFF_FIRST
 from understudy.failover.limits.backoff import MOST as BACKOFF_MOST
 from understudy.monitor.act.recovery.recovery_messages import describe, unverified
@@ -159,6 +161,18 @@ def test_an_instance_that_fails_within_the_healthy_delay_leads_to_the_next_strat
     assert_golden("monitor", message, "30.0 s", "limits.healthyDelay", "1m")
     world.retries.note(took_over(0, now))
     assert world.first(now + 60) == 0
+
+
+@pytest.mark.parametrize("step", [-7200.0, 0.0, 7200.0])
+@pytest.mark.parametrize(("drove", "strategy"), [(3600.0, 0), (1.0, 1)])
+def test_a_step_of_the_clock_does_not_change_how_long_an_instance_was_active(
+    monkeypatch: pytest.MonkeyPatch, drove: float, strategy: int, step: float
+) -> None:
+    world = World(limits={"healthyDelay": "1m"})
+    world.retries.note(took_over(0, CLOCK.now() - drove))
+    set_clock(monkeypatch, step)
+    assert world.first(time.time()) == strategy
+    assert world.notices.reasons == (["Relapsed"] if strategy else [])
 
 
 def test_a_recovery_reports_its_failed_attempts() -> None:
