@@ -20,6 +20,10 @@ SETTLE = 3.0
 SILENT = 5.0
 """Seconds without a probe of the active instance after which its path to the robot counts as blocked."""
 
+LEAK_LASTS = 60.0
+"""Seconds for which a packet of a pod that the gate does not admit counts. A node may apply the labels of a new pod late, so that one
+packet passes the gate and no other."""
+
 CONDITION = "GateEnforced"
 
 
@@ -49,7 +53,8 @@ def judge(
         i.name
         for i in running
         # A probe after ``now`` was received before the clock was set back.
-        if i.uid not in (active_uid, admitted_uid) and since + SETTLE < last.get(i.uid, 0.0) <= now
+        if i.uid not in (active_uid, admitted_uid)
+        and max(since + SETTLE, now - LEAK_LASTS) < last.get(i.uid, 0.0) <= now
     ]
     if leaking:
         return (

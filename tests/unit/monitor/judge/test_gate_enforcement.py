@@ -10,7 +10,7 @@ from tests.support.clock import Clock, set_clock
 from tests.unit.monitor.cluster_objects import ClusterObjects
 from understudy.failover.interfaces import GateState, Instance
 from understudy.monitor.judge import gate_enforcement
-from understudy.monitor.judge.gate_enforcement import SETTLE, SILENT, GateEnforcement, judge
+from understudy.monitor.judge.gate_enforcement import LEAK_LASTS, SETTLE, SILENT, GateEnforcement, judge
 
 NOW = 1000.0
 SINCE = NOW - 60
@@ -43,6 +43,13 @@ def test_a_packet_of_a_standby_shows_that_the_network_does_not_enforce() -> None
     )
     assert (status, reason) == ("False", "NotEnforced")
     assert "w-2" in message
+
+
+def test_a_packet_of_a_standby_counts_for_a_minute() -> None:
+    since = NOW - 600
+    for age, expected in ((LEAK_LASTS - 1, "False"), (LEAK_LASTS + 1, "True")):
+        last = {"uid-w-1": NOW, "uid-w-2": NOW - age}
+        assert judge([ACTIVE, STANDBY], "uid-w-1", last, now=NOW, since=since)[0] == expected
 
 
 @pytest.mark.parametrize("evicted", [False, True])
