@@ -265,6 +265,8 @@ class MonitorLoop:
             self.judge.detector.well()  # the instance is judged by what it has sent all the time
         else:
             self.judge.detector.restart(outcome.committed)
+        if outcome.verified is not None:
+            self.judge.sole_driver.verified(outcome.verified)
         if not outcome.concluded:
             self.report.recovery.abandoned(outcome)
         else:

@@ -42,6 +42,13 @@ class Outcome:
     @property
     def committed(self) -> float | None:
         """When the gate was opened for the instance that took over, in Unix seconds; None if none took over."""
-        taken_over = self.kind in ("Recovered", "SwitchedOver")
-        committing = self.progress.moments.get("committing")
-        return CLOCK.to_system(committing) if taken_over and committing is not None else None
+        return self._when_taken_over("committing")
+
+    @property
+    def verified(self) -> float | None:
+        """When the instance that took over was seen to drive alone, in Unix seconds; None if none was."""
+        return self._when_taken_over("verified")
+
+    def _when_taken_over(self, moment: str) -> float | None:
+        at = self.progress.moments.get(moment) if self.kind in ("Recovered", "SwitchedOver") else None
+        return CLOCK.to_system(at) if at is not None else None

@@ -79,6 +79,10 @@ class Track:
         """Whether the sender still reaches the robot."""
         return now - self.sign.last < max(QUIET, 2 * self.gap)
 
+    def goes_on(self, now: float) -> bool:
+        """Whether the sender was heard so recently that it has probably not ended."""
+        return now - self.sign.last < max(LASTS, 2 * self.gap)
+
     def moved(self, step: float) -> Track:
         """Return this track after the clock was set by ``step`` seconds."""
         return replace(self, sign=replace(self.sign, last=self.sign.last + step), first=self.first + step)
@@ -124,13 +128,16 @@ class Leak:
     """As for :class:`Sign`."""
     first: float
     """When it was first heard, in Unix seconds."""
+    goes_on: bool
+    """Whether it was heard so recently that it has probably not ended."""
 
 
 def leaks(tracks: Tracks, now: float) -> tuple[Leak, ...]:
     """Return the instances that reach the robot and are not let through, by name."""
     heard = [one for one in tracks.values() if one.sign.uid and one.lasts and one.is_heard(now)]
+    still = {one.sign.uid for one in heard if one.goes_on(now)}
     found = {
-        one.sign.uid: Leak(one.sign.name, one.sign.uid, one.sign.is_former, one.first)
+        one.sign.uid: Leak(one.sign.name, one.sign.uid, one.sign.is_former, one.first, one.sign.uid in still)
         for one in sorted(heard, key=lambda one: -one.first)
     }
     return tuple(sorted(found.values(), key=lambda leak: leak.name))
@@ -284,6 +291,10 @@ class SoleDriver:
             return True
         signs = (one.sign for one in self._tracks.values() if one.is_heard(now))
         return any(sign.uid and sign.is_former and sign.uid != self.rightful for sign in signs)
+
+    def verified(self, at: float) -> None:
+        """Note that the active instance was the only one that drove at a time: what was heard before has ended."""
+        self._tracks = {key: one for key, one in self._tracks.items() if one.sign.last > at}
 
     def close_for(self, active_uid: str) -> None:
         """Note that the gate is being closed for this instance because of a leak, so that it opens for it again first."""

@@ -16,11 +16,13 @@ from tests.unit.monitor.monitors import GivenMonitor
 from understudy.api.kinds.pause_spec import Pause
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.pinned import PinnedPod
+from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import ApiError
-from understudy.monitor.act.gate import gate_opening
+from understudy.monitor.act.gate import gate_opening, leak_response
 from understudy.monitor.judge import sole_driver
 from understudy.monitor.judge.sole_driver import MEMORY, QUIET
 from understudy.monitor.observe.robot.known_senders import KnownSender, OutputSender
+from understudy.monitor.outcome import Outcome
 from understudy.trees.core.health_tree import Verdict
 
 FORMER = Instance("w-1", "uid-1", ip="10.0.0.1", running=True, ready=True)
@@ -69,6 +71,14 @@ class Driven:
             await self.look()
         for _ in range(20):  # what runs in the background
             await asyncio.sleep(0)
+
+    def conclude(self, *, verified: float) -> None:
+        """A recovery ends, in which w-2 took over from w-1."""
+        failed = [PodIdentity(name="w-1", uid="uid-1")]
+        progress = Progress.begin("it ended", last_healthy=verified - 3, detected=verified - 2, failed=failed)
+        progress.result, progress.target = "Recovered", PodIdentity(name="w-2", uid="uid-2")
+        progress.moments |= {"committing": verified - 1.0, "first_output": verified - 0.5, "verified": verified}
+        self.monitor.loop.conclude(Outcome("Recovered", progress, self.policy))
 
     @property
     def commits(self) -> Sequence[str]:
@@ -146,7 +156,8 @@ async def test_nothing_is_done_about_a_leak_during_a_pause(tmp_path: Path) -> No
     assert driven.notices.conditions["SoleDriver"][0] == "False", "it is reported"
 
 
-async def test_a_gate_that_could_not_be_closed_is_closed_later(tmp_path: Path) -> None:
+async def test_a_gate_that_could_not_be_closed_is_closed_later(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(leak_response, "CLOSE_AGAIN", 0.0)
     driven = await switched(tmp_path, FORMER, ACTIVE)
     driven.objects.client.failing = lambda method, name: ApiError(403, "Forbidden", "not now")
     await driven.hear(FORMER, ACTIVE)
@@ -154,6 +165,49 @@ async def test_a_gate_that_could_not_be_closed_is_closed_later(tmp_path: Path) -
     driven.objects.client.failing = lambda method, name: None
     await driven.hear(FORMER, ACTIVE)
     assert driven.objects.gate.state.closed
+
+
+async def test_the_gate_is_asked_to_close_at_most_once_a_second(tmp_path: Path) -> None:
+    driven = await switched(tmp_path, FORMER, ACTIVE)
+    driven.objects.client.failing = lambda method, name: ApiError(403, "Forbidden", "not now")
+    await driven.hear(FORMER, ACTIVE, times=20)
+    assert driven.commits == [""]
+
+
+async def test_a_leak_that_has_ended_closes_no_gate(tmp_path: Path) -> None:
+    driven = await switched(tmp_path, FORMER, ACTIVE)
+    await driven.hear(FORMER, ACTIVE, times=5)
+    assert driven.commits == []
+    driven.observer.heard = [OutputSender("/cmd_vel", "w-1", "uid-1", ("uid-1",), driven.now + 0.2)]
+    await driven.look(1.5)
+    assert driven.notices.conditions["SoleDriver"][:2] == ("False", "SeveralDrivers"), "it was heard a moment ago"
+    assert driven.commits == []
+
+
+async def test_a_leak_that_a_recovery_saw_end_closes_no_gate(tmp_path: Path) -> None:
+    driven = await switched(tmp_path, FORMER, ACTIVE)
+    for _ in range(8):
+        driven.now += 0.2
+        driven.observer.heard = [OutputSender("/cmd_vel", "w-1", "uid-1", ("uid-1",), driven.now)]
+        driven.monitor.loop.judge.sole_driver.track(driven.objects.pods.of_workload(), driven.now)
+    driven.conclude(verified=driven.now + 0.15)  # of one period and the margin
+    await driven.look()
+    assert driven.commits == []
+    assert driven.notices.conditions["SoleDriver"][0] == "True"
+    await driven.hear(FORMER)
+    assert driven.commits == [""], "it goes on after all"
+
+
+async def test_a_leak_that_outlasts_a_recovery_closes_the_gate_at_once(tmp_path: Path) -> None:
+    driven = await switched(tmp_path, FORMER, ACTIVE)
+    verified = driven.now
+    for _ in range(8):
+        driven.now += 0.2
+        driven.observer.heard = [OutputSender("/cmd_vel", "w-1", "uid-1", ("uid-1",), driven.now)]
+        driven.monitor.loop.judge.sole_driver.track(driven.objects.pods.of_workload(), driven.now)
+    driven.conclude(verified=verified)
+    await driven.look()
+    assert driven.commits == [""]
 
 
 async def test_a_new_monitor_listens_before_it_opens_a_closed_gate(

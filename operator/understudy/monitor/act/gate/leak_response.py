@@ -34,6 +34,9 @@ its replacement does too."""
 CLOSE_WITHIN = 2.0
 """Seconds that the API server has to close the gate; then the loop goes on, and it is tried again."""
 
+CLOSE_AGAIN = 1.0
+"""Seconds after a request without success until the next one."""
+
 
 class LeakResponse:
     """Responds to the leaks of one workload."""
@@ -44,7 +47,7 @@ class LeakResponse:
         self._fleet, self._strays = fleet, strays
         self._gate, self._sole_driver, self._notices = gate, sole_driver, notices
         self._ended: dict[str, float] = {}
-        self._standby_ended = -math.inf
+        self._standby_ended = self._close_after = -math.inf
         self._ending: asyncio.Task[None] | None = None
 
     async def respond(self, policy: FailurePolicySpec, now: float) -> bool:
@@ -88,8 +91,12 @@ class LeakResponse:
     async def _close(self) -> bool:
         """Close the gate if an instance that was in control before reaches the robot beside the active one."""
         state = self._gate.state
-        former = [leak.name for leak in self._sole_driver.leaks if leak.is_former and leak.uid != state.active_uid]
-        if state.closed or not former:
+        former = [
+            leak.name
+            for leak in self._sole_driver.leaks
+            if leak.is_former and leak.goes_on and leak.uid != state.active_uid
+        ]
+        if state.closed or not former or time.monotonic() < self._close_after:
             return False
         # The recovery that opened the gate is over, but the pods that failed in it still count as failed.
         left = ended(state.recovery) if state.recovery is not None else None
@@ -98,6 +105,7 @@ class LeakResponse:
                 await self._gate.commit(None, left)
         except (Superseded, *FAILURES) as error:
             _logger.warning("could not close the gate for %s: %r", state.active, error)
+            self._close_after = time.monotonic() + CLOSE_AGAIN
             return False
         self._sole_driver.close_for(state.active_uid)
         words = f"the gate is closed for {state.active}, because {', '.join(former)} still reaches the robot; it opens again after that"
