@@ -10,6 +10,7 @@ import hashlib
 import json
 from typing import Any
 
+from understudy.api import names
 from understudy.api.base import GROUP
 from understudy.kube.client import APPLY, ApiError, Client, Object, Resource
 
@@ -47,6 +48,29 @@ def owned_by(item: Object, uid: str) -> bool:
     """Return whether an object's controller has this UID."""
     owner = controller_of(item)
     return owner is not None and owner.get("uid") == uid
+
+
+def released(pod: Object) -> str:
+    """Return the workload whose instance a pod is although no controller owns it; empty for other pods.
+
+    A ReplicaSet releases a pod as soon as somebody changes a label of its selector. The agent's environment still shows
+    the workload, because nobody can change the environment of a pod.
+    """
+    if controller_of(pod) is not None:
+        return ""
+    for container in (pod.get("spec") or {}).get("containers") or []:
+        if container.get("name") == names.AGENT_CONTAINER:
+            for entry in container.get("env") or []:
+                if entry.get("name") == names.WORKLOAD_VARIABLE:
+                    found: str = entry.get("value") or ""
+                    return found
+    return ""
+
+
+def released_spec(workload: str) -> Object:
+    """Return the part of a released pod's spec from which :func:`released` reads the workload."""
+    environment = [{"name": names.WORKLOAD_VARIABLE, "value": workload}]
+    return {"containers": [{"name": names.AGENT_CONTAINER, "env": environment}]}
 
 
 def stamped(body: Object) -> Object:

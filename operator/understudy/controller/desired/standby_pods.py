@@ -21,6 +21,7 @@ from understudy.controller.observed.observation import Observed
 from understudy.controller.plan import Create, Delete, Patch, Plan
 from understudy.controller.pods import instance_pod, pod_counts, pod_placement
 from understudy.controller.pods.pool_pods import UniqueValues
+from understudy.kube import apply
 from understudy.kube.client import PODS, REPLICA_SETS, Object
 
 
@@ -213,7 +214,7 @@ def relabelled(observed: Observed, workload_plan: WorkloadPlan) -> Iterator[Patc
     """
     workload = observed.workload
     for pod in observed.pods:
-        released = ownership.released(pod) == kube_objects.name(workload)
+        released = apply.released(pod) == kube_objects.name(workload)
         if kube_objects.deleted(pod) or not (released or ownership.controls(kube_objects.uid(workload), pod)):
             continue
         wanted = {

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 
-from understudy.api import names
 from understudy.api.base import API_VERSION
 from understudy.controller.observed import kube_objects
 from understudy.kube import apply
@@ -33,29 +32,6 @@ def is_understudys(item: Object) -> bool:
     """Whether the controller of an object is of one of Understudy's kinds."""
     owner = apply.controller_of(item)
     return owner is not None and owner.get("apiVersion") == API_VERSION
-
-
-def released(pod: Object) -> str:
-    """Return the workload whose instance a pod is although no controller owns it; empty for other pods.
-
-    A ReplicaSet releases a pod as soon as somebody changes a label of its selector. The agent's environment still shows
-    the workload, because nobody can change the environment of a pod.
-    """
-    if apply.controller_of(pod) is not None:
-        return ""
-    for container in (pod.get("spec") or {}).get("containers") or []:
-        if container.get("name") == names.AGENT_CONTAINER:
-            for entry in container.get("env") or []:
-                if entry.get("name") == names.WORKLOAD_VARIABLE:
-                    found: str = entry.get("value") or ""
-                    return found
-    return ""
-
-
-def released_spec(workload: str) -> Object:
-    """Return the part of a released pod's spec from which :func:`released` reads the workload."""
-    environment = [{"name": names.WORKLOAD_VARIABLE, "value": workload}]
-    return {"containers": [{"name": names.AGENT_CONTAINER, "env": environment}]}
 
 
 def token(name: str, value: str) -> Object:

@@ -22,7 +22,7 @@ from understudy.controller.observed import (
 from understudy.controller.pods import pool_pods
 from understudy.controller.reconcile.object_store import ObservedChange, Store
 from understudy.controller.status import storm_detection
-from understudy.kube.apply import controller_of
+from understudy.kube.apply import controller_of, released
 from understudy.kube.client import (
     CONFIG_MAPS,
     DEPLOYMENTS,
@@ -206,7 +206,7 @@ def _after_pod(change: ObservedChange, store: Store, namespace: str, plenty: Col
         # Somebody may have removed the labels.
         if ownership.is_understudys(item) and (owner := controller_of(item)) is not None:
             yield Key(_PLURALS[owner["kind"]], namespace, owner["name"])
-        elif workload := ownership.released(item):
+        elif workload := released(item):
             yield Key(WORKLOADS.plural, namespace, workload)
         if labels.get(names.SOURCE) == "workload":
             yield from _stood_in_for(labels.get(names.WORKLOAD, ""), store, namespace)

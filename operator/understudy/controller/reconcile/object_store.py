@@ -14,9 +14,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from understudy.api import names
-from understudy.controller.observed import ownership
 from understudy.controller.reconcile.interning import Interner
-from understudy.kube.apply import controller_of
+from understudy.kube.apply import controller_of, released, released_spec
 from understudy.kube.client import PODS, Object, Resource
 from understudy.kube.gates import registry
 
@@ -174,7 +173,7 @@ def _keys(resource: Resource, item: Object) -> list[Index]:
     owner = controller_of(item)
     if owner is not None:
         found.append(("owner", owner["uid"]))
-    elif resource.plural == PODS.plural and (workload := ownership.released(item)):
+    elif resource.plural == PODS.plural and (workload := released(item)):
         found.append(("released", namespace, workload))
     labels = metadata.get("labels") or {}
     found += [
@@ -208,8 +207,8 @@ def slim(resource: Resource, item: Object) -> Object:
         kept.pop("stringData", None)
     if resource.plural == "pods":
         kept["spec"] = {"nodeName": (item.get("spec") or {}).get("nodeName")}
-        if workload := ownership.released(item):
-            kept["spec"] |= ownership.released_spec(workload)
+        if workload := released(item):
+            kept["spec"] |= released_spec(workload)
         kept["status"] = _slim_status(item.get("status") or {})
     if resource.plural == "nodes":
         kept["metadata"] = {key: metadata[key] for key in ("name", "uid", "resourceVersion") if key in metadata}

@@ -18,6 +18,7 @@ from understudy.api import names
 from understudy.controller.observed import health_tree_sources, kube_objects, ownership
 from understudy.controller.reconcile.object_store import ObservedChange, Store, same, slim
 from understudy.controller.reconcile.object_store import version as version_of
+from understudy.kube import apply
 from understudy.kube.client import (
     CONFIG_MAPS,
     DEPLOYMENTS,
@@ -107,7 +108,7 @@ def kept(resource: Resource, item: Object) -> bool:
     """Whether an object from a watch is kept. This includes an object of Understudy whose labels were removed."""
     if listed(resource, item) or ownership.is_understudys(item):
         return True
-    return resource.plural == PODS.plural and bool(ownership.released(item))
+    return resource.plural == PODS.plural and bool(apply.released(item))
 
 
 class ListCycle:

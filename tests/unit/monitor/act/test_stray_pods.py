@@ -21,26 +21,31 @@ from understudy.ros.rmw import MIDDLEWARE
 
 HOST = MIDDLEWARE.host_at("10.0.0.3")
 SETTINGS = settings_of(pools=[{"name": "hot", "readiness": "Executing"}])
+WORKLOAD = {"apiVersion": API_VERSION, "kind": "RobotWorkload", "name": "w", "uid": "uid-w", "controller": True}
 POOL = {"apiVersion": API_VERSION, "kind": "FallbackPool", "name": "hot", "uid": "p", "controller": True}
 REPLICA_SET = {"apiVersion": "apps/v1", "kind": "ReplicaSet", "name": "w", "uid": "r", "controller": True}
 
 
-def stray(owner: Object | None, *, labels: dict[str, str] | None = None, **more: Any) -> Object:
-    """Return the pod of the standby without its labels."""
+def stray(owner: Object | None, *, labels: dict[str, str] | None = None, workload: str = "", **more: Any) -> Object:
+    """Return the pod of the standby without its labels; ``workload`` is the one that its agent serves."""
     found = pod_of(replace(STANDBY, **more))
     found["metadata"]["labels"] = labels or {}
     found["metadata"]["ownerReferences"] = [owner] if owner is not None else []
+    environment = [{"name": names.WORKLOAD_VARIABLE, "value": workload}] if workload else []
+    found["spec"]["containers"] = [{"name": names.AGENT_CONTAINER, "env": environment}]
     return found
 
 
+@pytest.mark.parametrize("labels", [{}, {names.WORKLOAD: "another"}], ids=["removed", "changed"])
 @pytest.mark.parametrize(
-    ("pod", "pool"),
-    [(stray(POOL), "hot"), (stray(REPLICA_SET), ""), (stray(POOL, claim="uid-w/1"), "hot")],
-    ids=["pool", "replica-set", "claimed"],
+    "pod",
+    [stray(WORKLOAD), stray(REPLICA_SET), stray(WORKLOAD, claim="uid-w/1"), stray(None, workload="w")],
+    ids=["standby", "replica set", "claimed", "released by its replica set"],
 )
-def test_a_pod_without_labels_is_known_by_its_owner(pod: Object, pool: str) -> None:
+def test_a_pod_without_the_label_of_its_workload_is_known_by_its_owner(pod: Object, labels: dict[str, str]) -> None:
+    pod["metadata"]["labels"] = labels
     (found,) = strays([pod], SETTINGS, {HOST}, ())
-    assert (found.uid, found.pool) == ("uid-3", pool)
+    assert found.uid == "uid-3"
     assert [one.uid for one in strays([pod], SETTINGS, (), {"uid-3"})] == ["uid-3"], "and by the UID in its packets"
     assert not strays([pod], SETTINGS, {MIDDLEWARE.host_at("10.0.0.4")}, {"uid-4"}), (
         "a pod that sends nothing is left alone"
@@ -51,13 +56,13 @@ def test_a_pod_without_labels_is_known_by_its_owner(pod: Object, pool: str) -> N
     "pod",
     [
         stray(None),
-        stray(POOL | {"name": "other"}),
+        stray(None, workload="another"),
+        stray(WORKLOAD | {"uid": "uid-another"}),
+        stray(WORKLOAD, labels={names.WORKLOAD: "w"}),
         stray(REPLICA_SET | {"name": "other"}),
-        stray(POOL, labels={names.WORKLOAD: "another"}),
-        stray(POOL, claim="uid-another/1"),
-        stray(POOL | {"apiVersion": "example.com/v1"}),
+        stray(POOL),
     ],
-    ids=["no owner", "other pool", "other set", "labelled for another", "claimed by another", "other kind"],
+    ids=["no owner", "released by another", "another workload", "watched", "other set", "unclaimed"],
 )
 def test_a_pod_of_somebody_else_is_no_stray(pod: Object) -> None:
     assert not strays([pod], SETTINGS, {HOST}, {"uid-3"})
@@ -74,7 +79,7 @@ async def test_a_standby_without_its_label_that_drives_is_found_and_deleted(
 ) -> None:
     monkeypatch.setattr(stray_pods, "AGAIN", 0.0)
     driven = await switched(tmp_path, ACTIVE)
-    driven.objects.client.store(PODS, "fleet", stray(POOL))
+    driven.objects.client.store(PODS, "fleet", stray(WORKLOAD))
     act, judge = driven.monitor.loop.act, driven.monitor.loop.judge
     for _ in range(10):
         sender = OutputSender("/cmd_vel", "/drive", "", (), driven.now + 0.2, HOST)

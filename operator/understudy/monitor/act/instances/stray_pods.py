@@ -1,7 +1,7 @@
-"""Finds pods of this workload without the label that the monitor watches, from what they send to the robot.
+"""Finds pods of this workload whose label was removed or changed, from what they send to the robot.
 
-Labels decide what the policies select and what is watched, so a pod without them is neither fenced nor known. Its address, its UID and its
-owner still identify it.
+Labels decide what the policies select and what is watched, so a pod without the workload's label is neither fenced nor known. Its address,
+its UID and its owner still identify it; a pod that its ReplicaSet released because of its labels, by its agent.
 """
 
 from __future__ import annotations
@@ -11,13 +11,11 @@ import logging
 import math
 import time
 from collections.abc import Collection, Sequence
-from dataclasses import replace
 
 from understudy.api import names
-from understudy.api.base import API_VERSION
 from understudy.api.protocol.monitor_settings import WorkloadSettings
 from understudy.failover.interfaces import Instance
-from understudy.kube.apply import controller_of
+from understudy.kube.apply import controller_of, released
 from understudy.kube.client import FAILURES, PODS, Object
 from understudy.monitor.act.objects.pod_control import instance_of
 from understudy.monitor.observe.objects.cluster_view import ClusterView
@@ -36,31 +34,23 @@ def strays(
 
     ``hosts`` identify unknown senders of outputs by their GIDs, and ``uids`` those of packets that passed the gate.
     """
-    found: list[Instance] = []
-    for pod in pods:
-        instance = instance_of(pod)
-        if (instance.uid in uids or host_at(instance.ip) in hosts) and (
-            owned := _owned(pod, instance, settings)
-        ) is not None:
-            found.append(owned)
-    return found
+    return [
+        instance
+        for pod in pods
+        if ((instance := instance_of(pod)).uid in uids or host_at(instance.ip) in hosts) and _is_stray(pod, settings)
+    ]
 
 
-def _owned(pod: Object, instance: Instance, settings: WorkloadSettings) -> Instance | None:
-    """Return the instance with the pool of its owner; None if the pod is not this workload's."""
-    labels, owner = pod["metadata"].get("labels") or {}, controller_of(pod)
-    if owner is None or labels.get(names.WORKLOAD) or labels.get(names.HELD) == "true":
-        return None
+def _is_stray(pod: Object, settings: WorkloadSettings) -> bool:
+    """Whether a pod is this workload's but does not have its label. A pod that a pool owns is unclaimed, and drives no robot."""
+    if (pod["metadata"].get("labels") or {}).get(names.WORKLOAD) == settings.workload:
+        return False
+    if (owner := controller_of(pod)) is None:
+        return released(pod) == settings.workload
     kind, name = owner.get("kind"), owner.get("name", "")
-    if (kind, owner.get("apiVersion")) == ("FallbackPool", API_VERSION):
-        if name not in {pool.name for pool in settings.pools}:
-            return None
-        is_claimed_by_other = instance.claim and not instance.claim.startswith(f"{settings.uid}/")
-        return None if is_claimed_by_other else replace(instance, pool=name)
     if settings.source_kind == "Deployment" and kind == "ReplicaSet":
-        name = name.rpartition("-")[0]
-        kind = "Deployment"
-    return replace(instance, pool="") if (kind, name) == (settings.source_kind, settings.source_name) else None
+        kind, name = "Deployment", name.rpartition("-")[0]
+    return owner.get("uid") == settings.uid or (kind, name) == (settings.source_kind, settings.source_name)
 
 
 class StrayPods:
@@ -97,7 +87,7 @@ class StrayPods:
         found = strays(pods, settings, self._hosts, self._uids)
         for instance in found:
             if instance.uid not in {one.uid for one in self.instances}:
-                _logger.warning("%s reaches the robot without the label %s", instance.name, names.WORKLOAD)
+                _logger.warning("%s reaches the robot without this workload's label %s", instance.name, names.WORKLOAD)
         self.instances = found
         # Senders that are no stray are forgotten: they are given again as long as they send.
         self._hosts = {host for one in found if (host := host_at(one.ip))}
