@@ -280,7 +280,8 @@ class AgentConnections:
 
     async def _connected(self, instance: Instance) -> AgentLink:
         while True:
-            link = self._links.get(instance.uid) or await self._connect(instance)
+            # Other callers may wait for the same connection, so one that is cancelled must not end it.
+            link = self._links.get(instance.uid) or await asyncio.shield(self._connect(instance))
             if link is not None:
                 await link.wait_connected()
                 return link

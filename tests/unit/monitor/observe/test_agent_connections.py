@@ -116,3 +116,17 @@ async def test_a_secret_that_cannot_be_read_is_requested_again_after_a_pause(mon
     client.failing = lambda method, name: None
     monkeypatch.setattr(module, "RETRY_API", 0.0)
     assert await agents.token(INSTANCE) == b"first"
+
+
+async def test_a_caller_that_gives_up_does_not_end_the_connection_that_another_one_waits_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    client, agents = connections()
+    monkeypatch.setattr(client, "get", lambda *_: asyncio.sleep(60))  # the API server does not answer
+    other = asyncio.create_task(agents.up(INSTANCE))
+    for _ in range(2):
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(0.05):
+                await agents.up(INSTANCE)
+    assert not other.done()
+    other.cancel()
