@@ -5,11 +5,12 @@ The loop wakes at deadlines, not at ticks: see understudy.monitor.observe.wakeup
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import math
 import time
-from collections.abc import Collection
-from contextlib import aclosing
+from collections.abc import AsyncIterator, Collection
+from contextlib import aclosing, asynccontextmanager
 from dataclasses import dataclass
 
 from understudy.api.kinds.failure_policy import FailurePolicySpec
@@ -27,6 +28,7 @@ from understudy.monitor.act.recovery.recovery_runner import ENDS
 from understudy.monitor.act.stage import ActStage
 from understudy.monitor.decide.initial_activation import Candidates
 from understudy.monitor.decide.stage import DecideStage, Resolution
+from understudy.monitor.judge.sole_driver import PERIOD
 from understudy.monitor.judge.stage import Judgement, JudgeStage
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.objects import interrupted_recovery
@@ -90,11 +92,11 @@ class MonitorLoop:
     async def run(self) -> None:
         """Watch and recover until cancelled."""
         self._new_until = time.monotonic() + SETTLE
-        async with self.judge.sole_driver.during(self._pods.of_workload):
+        async with self._ending_leaks():
             await self.resume()
         while True:
             resolution = await self._watch()
-            async with self.judge.sole_driver.during(self._pods.of_workload):
+            async with self._ending_leaks():
                 await self.carry_through(resolution)
 
     # -- observe, judge, decide -------------------------------------------------------------------------------------
@@ -127,15 +129,18 @@ class MonitorLoop:
 
     def _observe(self, policy: FailurePolicySpec, now: float) -> None:
         """Read the samples that have arrived, and the state of the workloads that this one depends on."""
-        dependencies, state = self.observe.dependencies, self._gate.state
+        dependencies = self.observe.dependencies
         self.decide.limits.retries.update(self.decide.limits.spending.resumed, now)
         self._observer.follow(policy, self._view.spec)
         self.act.follow_safety(policy)
         dependencies.follow(self._view.settings)
         dependencies.update(now)
-        instances = [*self._pods.of_workload(), *self.act.strays.instances]
-        self._observer.drain(instances, state.active, state.pinned)
-        self.act.state_manager.take(policy.state, self._observer.addresses, state.active)
+        self._drain()
+        self.act.state_manager.take(policy.state, self._observer.addresses, self._gate.state.active)
+
+    def _drain(self) -> None:
+        state = self._gate.state
+        self._observer.drain([*self._pods.of_workload(), *self.act.strays.instances], state.active, state.pinned)
 
     async def evaluate(self, policy: FailurePolicySpec, now: float) -> Resolution:
         """Judge and decide once. ``now`` is in Unix seconds."""
@@ -239,7 +244,7 @@ class MonitorLoop:
         try:
             async with aclosing(self.act.deferral.until_allowed(progress)) as deferred:
                 async for _ in deferred:
-                    self._continue_other_work()
+                    await self._continue_other_work()
         except ENDS as error:
             return self.act.recoveries.abandoned(progress, error)
         policy = self._view.policy
@@ -280,12 +285,32 @@ class MonitorLoop:
         self.decide.conclude(outcome)
         self.act.conclude(outcome)
 
-    def _continue_other_work(self) -> None:
+    async def _continue_other_work(self) -> None:
         """Do the work that continues while a recovery is deferred."""
         if (policy := self._view.policy) is not None:
             self.act.follow_safety(policy)
-        self._observer.drain(self._pods.of_workload(), "", self._gate.state.pinned)
+        self._drain()
+        if self.decide.limits.pauses.on is None:
+            await self.act.restore_routing()
         self._housekeeping()
+
+    @asynccontextmanager
+    async def _ending_leaks(self) -> AsyncIterator[None]:
+        """Judge and end leaks also while a recovery is in progress: it may wait for long, for example for a pod of a shared pool."""
+        ending = asyncio.create_task(self._end_leaks())
+        try:
+            yield
+        finally:
+            ending.cancel()
+
+    async def _end_leaks(self) -> None:
+        while True:
+            now = time.time()
+            self._drain()
+            self.judge.sole_driver.update(self._pods.of_workload(), now)
+            if self.decide.limits.pauses.on is None:
+                self.act.leaks.respond_during(self._senses.current, now)
+            await asyncio.sleep(PERIOD)
 
     def _housekeeping(self) -> None:
         """Do the work that is not urgent. Returns at once."""

@@ -7,9 +7,8 @@ Instances whose pods are being deleted or are gone count too: their processes ma
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import time
-from collections.abc import AsyncIterator, Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -162,7 +161,7 @@ def judge(tracks: Tracks, active: str, now: float) -> ConditionReport:
             "UnknownSender",
             f"A sender that is no known instance of this workload reaches the robot: {listed}. It is a second driver, unless it is a tool.",
         )
-    return "True", "NoOtherSender", "Nobody reaches the robot whom the gate does not let through."
+    return "True", "NoOtherSender", "The monitor hears nobody whom the gate does not let through."
 
 
 class Outputs(Protocol):
@@ -194,7 +193,10 @@ class SoleDriver:
         """The UID of the instance for which the gate was closed because of a leak; empty if it was not."""
 
     def update(self, instances: Sequence[Instance], now: float) -> None:
-        """Take the signs up to now, and report what they mean."""
+        """Take the signs up to now, and report what they mean, also during a recovery.
+
+        A planned switchover leaves the workload Healthy, which it is not while somebody else drives it too.
+        """
         is_other = self.track(instances, now)
         found = leaks(self._tracks, now)
         if found != self.leaks:
@@ -203,26 +205,8 @@ class SoleDriver:
             is_other = True
         if is_other:
             self.report(now)
-
-    @contextlib.asynccontextmanager
-    async def during(self, instances: Callable[[], Sequence[Instance]]) -> AsyncIterator[None]:
-        """Take the signs during a recovery too, so that a leak in it is known as soon as it ends.
-
-        A planned switchover leaves the workload Healthy, which it is not while somebody else drives it too.
-        """
-        tracking = asyncio.create_task(self._keep_tracking(instances))
-        try:
-            yield
-        finally:
-            tracking.cancel()
-
-    async def _keep_tracking(self, instances: Callable[[], Sequence[Instance]]) -> None:
-        while True:
-            now = time.time()
-            self.track(instances(), now)
-            if leaks(self._tracks, now) and self._notices.status.health == "Healthy":
-                self._notices.set(health="Degraded")
-            await asyncio.sleep(PERIOD)
+        if found and self._notices.status.health == "Healthy":
+            self._notices.set(health="Degraded")
 
     def track(self, instances: Sequence[Instance], now: float) -> bool:
         """Take the signs up to now, at most every PERIOD seconds. Returns whether the gate has changed."""

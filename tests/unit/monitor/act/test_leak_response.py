@@ -12,6 +12,7 @@ from typing import Any, Literal
 import pytest
 
 from tests.unit.monitor.cluster_objects import policy_of
+from tests.unit.monitor.limited_monitor import World, failure
 from tests.unit.monitor.monitors import GivenMonitor
 from understudy.api.kinds.pause_spec import Pause
 from understudy.failover.interfaces import GateState, Instance
@@ -21,6 +22,7 @@ from understudy.kube.client import ApiError
 from understudy.monitor.act.gate import gate_opening, leak_response
 from understudy.monitor.judge import sole_driver
 from understudy.monitor.judge.sole_driver import MEMORY, QUIET
+from understudy.monitor.notices import LeaksCounted
 from understudy.monitor.observe.robot.known_senders import KnownSender, OutputSender
 from understudy.monitor.outcome import Outcome
 from understudy.trees.core.health_tree import Verdict
@@ -208,6 +210,52 @@ async def test_a_leak_that_outlasts_a_recovery_closes_the_gate_at_once(tmp_path:
     driven.conclude(verified=verified)
     await driven.look()
     assert driven.commits == [""]
+
+
+async def test_a_leak_during_a_hold_is_reported_and_ended(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(sole_driver, "LASTS", 0.3)
+    world = World(monkeypatch, tmp_path)
+    world.spend()
+    world.monitor.observer.health = Verdict("Failed", "no /cmd_vel", "topic", time.time() - 1)
+    running = asyncio.create_task(world.loop.run())
+    await world.until(lambda: world.objects.gate.state.closed)
+
+    def ended() -> bool:
+        world.monitor.observer.heard = [OutputSender("/cmd_vel", "w-1", "uid-1", ("uid-1",), time.time())]
+        return world.objects.deleted == ["w-1"]
+
+    await world.until(ended)
+    running.cancel()
+    assert world.notices.conditions["SoleDriver"][:2] == ("False", "FormerDriver")
+    assert LeaksCounted(1) in world.notices.log
+
+
+async def test_a_leak_of_the_failed_instance_is_ended_while_its_recovery_waits_for_a_pod(tmp_path: Path) -> None:
+    driven = await switched(tmp_path, FORMER, STANDBY, ACTIVE)
+    current = driven.monitor.senses.current
+    failed = [PodIdentity(name="w-1", uid="uid-1")]
+    for _ in range(10):
+        driven.now += 0.2
+        heard = [OutputSender("/cmd_vel", i.name, i.uid, (i.uid,), driven.now) for i in (FORMER, STANDBY)]
+        driven.observer.heard = heard
+        driven.monitor.loop.judge.sole_driver.update(driven.objects.pods.of_workload(), driven.now)
+        with current.during(Progress.begin("it fails", last_healthy=1.0, detected=2.0, failed=failed)):
+            driven.monitor.loop.act.leaks.respond_during(current, driven.now)
+    for _ in range(20):
+        await asyncio.sleep(0)
+    assert driven.graces == [("uid-1", 1)]
+
+
+async def test_an_edited_gate_is_restored_during_a_hold(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    world = World(monkeypatch, tmp_path)
+    world.spend()
+    holding = asyncio.create_task(world.allowed(failure()))
+    await world.until(lambda: ("Warning", "RecoveryHeld") in [event[:2] for event in world.notices.events])
+    kind, view = world.objects.view.gate_kind, world.objects.view
+    edited = {**view.gates.items["w-gate"], **kind.routing("w", "w-1")}
+    view.gates.put(world.objects.client.store(kind.resource, "fleet", edited))
+    await world.until(lambda: kind.let_through(view.gates.items["w-gate"]) == ())
+    holding.cancel()
 
 
 async def test_a_new_monitor_listens_before_it_opens_a_closed_gate(

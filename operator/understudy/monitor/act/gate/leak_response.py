@@ -16,8 +16,9 @@ from understudy.kube.client import FAILURES
 from understudy.monitor.act.instances.stray_pods import StrayPods
 from understudy.monitor.act.objects.gate_control import GateControl
 from understudy.monitor.act.objects.pod_control import PodControl
-from understudy.monitor.judge.sole_driver import SoleDriver
+from understudy.monitor.judge.sole_driver import Leak, SoleDriver
 from understudy.monitor.notices import Notices
+from understudy.monitor.observe.current_recovery import CurrentRecovery
 
 _logger = logging.getLogger(__name__)
 
@@ -51,18 +52,28 @@ class LeakResponse:
         self._ending: asyncio.Task[None] | None = None
 
     async def respond(self, policy: FailurePolicySpec, now: float) -> bool:
-        """Delete leaking pods in the background, and close the gate if spec.onLeak is Close. Returns whether it was closed."""
+        """End the leaks, and close the gate if spec.onLeak is Close. Returns whether it was closed."""
         if not self._sole_driver.leaks:
             return False
-        due = self._due(now, time.monotonic())
-        if due and (self._ending is None or self._ending.done()):
-            self._ending = asyncio.create_task(self._end(due))
+        self._end(now, self._sole_driver.leaks)
         return policy.on_leak == "Close" and await self._close()
 
-    def _due(self, unix: float, now: float) -> list[Instance]:
+    def respond_during(self, current: CurrentRecovery, now: float) -> None:
+        """End the leaks of the instances that failed in a recovery, or all of them while it is held, with the gate closed."""
+        if current.progress is not None:
+            progress, is_held = current.progress, current.held is not None
+            self._end(now, [leak for leak in self._sole_driver.leaks if is_held or progress.has_failed(leak.uid)])
+
+    def _end(self, now: float, leaks: Sequence[Leak]) -> None:
+        """Delete leaking pods in the background."""
+        due = self._due(leaks, now, time.monotonic())
+        if due and (self._ending is None or self._ending.done()):
+            self._ending = asyncio.create_task(self._delete(due))
+
+    def _due(self, leaks: Sequence[Leak], unix: float, now: float) -> list[Instance]:
         """Return the pods to delete now. The instance for which the gate was closed is not to blame."""
         found: list[Instance] = []
-        for leak in self._sole_driver.leaks:
+        for leak in leaks:
             instance = self._fleet.find(leak.uid) or self._strays.find(leak.uid)
             if instance is None or leak.uid == self._sole_driver.rightful:
                 continue
@@ -77,7 +88,7 @@ class LeakResponse:
             found.append(instance)
         return found
 
-    async def _end(self, due: Sequence[Instance]) -> None:
+    async def _delete(self, due: Sequence[Instance]) -> None:
         for instance in due:
             with contextlib.suppress(*FAILURES):
                 # The watched state of the gate may be outdated.
