@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import shutil
 import signal
 import tempfile
 import time
@@ -43,15 +44,18 @@ def run(kubeconfig: Path, namespace: str, options: argparse.Namespace) -> int:
     # The campaign changes labels, so that it is seen how soon they are restored without the admission policy.
     install(kubeconfig, CHART, "--set", f"admission.labelWriters={{{Cluster(kubeconfig).user}}}")
     kubectl = Kubectl(kubeconfig, namespace)
+    folder = Path(tempfile.gettempdir()) / f"understudy-chaos-{options.seed}"  # for who looks into a violation
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
     kubectl("create", "namespace", namespace)
     try:
         robots = start(kubectl, options.robots, options.timeout)
-        with Witness(kubectl, [robot.workload for robot in robots]) as witness:
+        with Witness(kubectl, [robot.workload for robot in robots], folder) as witness:
             begun = time.time()
             before = witness.memory()
             injected = _make(faults, Faults(kubectl, robots, witness))
             aftermath = _settle(robots, witness, before)
-            judgements = [_judge(robot, witness, injected, begun) for robot in robots]
+            judgements = [_judge(robot, witness, injected, begun, folder) for robot in robots]
     finally:
         _whole(kubectl)
         kubectl("delete", "namespace", namespace, "--wait=false")
@@ -66,6 +70,7 @@ def run(kubeconfig: Path, namespace: str, options: argparse.Namespace) -> int:
     print(report.table())
     print(f"\n{kinds_table(injected, judgements)}\n")
     print(report.write())
+    print(f"logs of all containers, and what each robot received: {folder}")
     return 0 if report.held else 1
 
 
@@ -121,7 +126,9 @@ def _leaked(robots: Sequence[CampaignRobot], witness: Witness) -> list[str]:
     return found
 
 
-def _judge(robot: CampaignRobot, witness: Witness, injected: Sequence[Injected], begun: float) -> Judgement:
+def _judge(
+    robot: CampaignRobot, witness: Witness, injected: Sequence[Injected], begun: float, folder: Path
+) -> Judgement:
     journal = robot.journal()
     seen = Seen(
         robot.name,
@@ -135,8 +142,6 @@ def _judge(robot: CampaignRobot, witness: Witness, injected: Sequence[Injected],
         finished=journal.finished,
         goals=_ended(robot.goals()),
     )
-    folder = Path(tempfile.gettempdir()) / "understudy-chaos"  # for who looks into a violation
-    folder.mkdir(exist_ok=True)
     dump(
         folder / f"{robot.name}.json",
         commits=seen.commits,

@@ -20,6 +20,9 @@ from bench.chaos.plan import BY_NAME, Fault
 ENFORCEMENT = 0.05
 """Seconds after a commit in which commands of a fenced instance may still arrive."""
 
+DELIVERY = 0.02
+"""Seconds that a command may take from its sender to the robot beyond its lifespan, which is one period."""
+
 LAG = 0.5
 """Largest delay of the record of a commit, in seconds: the new instance's commands may arrive that much earlier."""
 
@@ -296,7 +299,7 @@ def stale(
             if not arrived:
                 continue
             switch = min(after.seen, arrived[0].received)
-            if ages := [switch - c.sent for c in arrived if switch - c.sent > period]:
+            if ages := [switch - c.sent for c in arrived if switch - c.sent > period + DELIVERY]:
                 yield pod, switch, ages
 
 

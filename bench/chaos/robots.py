@@ -21,6 +21,9 @@ HOUSE = "node1"
 REFLEX_DEADLINE = 0.3
 """Seconds of silence after which a reader of a robot with a reflex takes the standby's commands."""
 
+PERIOD = 0.05
+"""Seconds between two commands of the applications, and their lifespan."""
+
 GOAL = 24
 """Steps of each goal of the worker's client."""
 
@@ -111,6 +114,9 @@ class CampaignRobot(Robot):
     def _workload(self, item: Object) -> None:
         spec = item["spec"]
         pod = spec["template"]["spec"]
+        for output in spec["outputs"]:
+            if output.get("topic") == "/cmd_vel":
+                output["lifespan"] = f"{1000 * PERIOD:.0f}ms"
         if self.way.reflex:
             spec["gate"] = {"reflex": {"deadline": f"{1000 * REFLEX_DEADLINE:.0f}ms"}}
         if self.way.worker:

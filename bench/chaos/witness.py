@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import re
 import threading
 import time
@@ -15,7 +16,7 @@ from typing import Any
 from understudy_demo.recovery import Recovered, unix
 from urllib3.exceptions import HTTPError
 
-from bench.chaos.judge import Commit
+from bench.chaos.judge import LAG, Commit
 from tests.e2e.conftest import SYSTEM
 from tests.e2e.faults import pod_logs, process_ids
 from tests.e2e.kubectl import Failed, Kubectl, Object
@@ -26,6 +27,9 @@ PERIOD = 1.0
 """Seconds between two readings of pods and workloads."""
 
 LOGS_PERIOD = 2.0
+
+WRITTEN = 1.0
+"""Seconds to which the API server notes when an object was written."""
 
 FOLLOWING = 40
 """Lines of a traceback that are kept."""
@@ -65,10 +69,13 @@ class Traceback:
 
 
 class Witness:
-    """Watches a campaign's namespace from threads of its own, for the duration of the context."""
+    """Watches a campaign's namespace from threads of its own, for the duration of the context.
 
-    def __init__(self, kubectl: Kubectl, workloads: Sequence[str]) -> None:
-        self._kubectl, self._workloads = kubectl, workloads
+    ``folder`` gets the logs of all containers: who looks into a violation needs them when the namespace is gone.
+    """
+
+    def __init__(self, kubectl: Kubectl, workloads: Sequence[str], folder: Path) -> None:
+        self._kubectl, self._workloads, self._folder = kubectl, workloads, folder
         self._pods: dict[str, PodSeen] = {}
         self._operators: list[PodSeen] = []
         self._status: dict[str, Object] = {}
@@ -212,6 +219,8 @@ class Witness:
                 opened.seek(begin)
                 text = opened.read()
                 self._read[file] = opened.tell()
+                with (self._folder / f"{pod.split('_')[1]}-{file.parent.name}.log").open("a") as kept:
+                    kept.write(text)
                 self.tracebacks += tracebacks(text, f"{pod}/{file.parent.name}", time.time())
 
 
@@ -244,11 +253,19 @@ def _pod(item: Object) -> PodSeen:
 
 
 def _commit(item: Object, seen: float, lost: float) -> Commit:
-    """Read the gate's record, which says who is let through whatever somebody made of its selector."""
+    """Read the gate's record, which says who is let through whatever somebody made of its selector.
+
+    The API server notes the second of a write. It shows that this process was late to see the commit, on a busy machine by seconds.
+    """
     record = item["metadata"].get("annotations") or {}
     among = tuple(name for key in (names.ACTIVE, names.ADMITTED) if (name := record.get(key)))
     epoch = int(record.get(names.EPOCH) or 0)
-    return Commit(seen, epoch, among, lost) if lost else Commit(seen, epoch, among)
+    written = max(
+        (unix(one["time"]) for one in item["metadata"].get("managedFields", []) if "time" in one), default=seen
+    )
+    since = [lost] if lost else []
+    since += [written] if written < seen - LAG - WRITTEN else []
+    return Commit(seen, epoch, among, min(since, default=math.nan))
 
 
 def dump(file: Path, **parts: Any) -> None:
