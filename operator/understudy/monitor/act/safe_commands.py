@@ -1,7 +1,7 @@
 """Sends the policy's safe commands to the robot while no instance is verified to be in control (docs/safety.md).
 
-The monitor is not an instance, so the gate lets it through. Its commands begin after the failed instance was fenced,
-and end with the first output of the next one. After the gate opens for an instance, the commands wait for
+The monitor is not an instance, so the gate lets it through. Its commands begin after the failed instance was fenced, or the gate was
+closed for a leak, and end with the first output of the next one. After the gate opens for an instance, the commands wait for
 ``safety.after`` again, so that the monitor and the instance do not command the robot at the same time.
 """
 
@@ -16,7 +16,9 @@ from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import Safety
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.clock import CLOCK
+from understudy.failover import pinned
 from understudy.failover.progress import Progress, beside
+from understudy.kube.gates.base import GateRecord
 from understudy.monitor.decide.pause_state import PauseState
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.objects.cluster_view import ClusterView
@@ -41,11 +43,13 @@ replaced this one and put an instance in control that this one does not know.
 
 
 class Unattended:
-    """Records since when no instance has driven the robot, according to recoveries and their outcomes."""
+    """Records since when no instance has driven the robot, according to recoveries, their outcomes and the gate."""
 
     def __init__(self, view: ClusterView, pauses: PauseState, current: CurrentRecovery) -> None:
         self._view, self._pauses, self._current = view, pauses, current
         self._since: float | None = None
+        self._epoch = -1
+        """The gate's epoch, as last seen."""
 
     @property
     def since(self) -> float | None:
@@ -54,7 +58,17 @@ class Unattended:
         progress, held = self._current.progress, self._current.held
         if self._view.retired or (self._pauses.on is not None and (held or progress is None)):
             return None
-        return self._recovering(progress) if progress is not None else self._since
+        record = self._view.gate_record
+        is_new = record is not None and record.epoch != self._epoch
+        self._epoch = record.epoch if record is not None else self._epoch
+        if progress is not None:
+            return self._recovering(progress)
+        if record is not None and record.active:
+            if is_new and self._since is not None:
+                self._since = CLOCK.now()  # whom it was opened for has its time
+        elif record is not None and self._since is None and _was_closed(record):
+            self._since = CLOCK.now()
+        return self._since
 
     def _recovering(self, progress: Progress) -> float | None:
         moments = progress.moments
@@ -77,12 +91,18 @@ class Unattended:
         """Note the outcome of a recovery or a switchover."""
         if outcome.driven:
             self._since = None
-        elif outcome.kind == "NothingVerified" and self._since is None:
-            self._since = CLOCK.now()
+        else:
+            self._recovering(outcome.progress)
 
     def driven(self) -> None:
         """Note that an instance is active and healthy."""
         self._since = None
+
+
+def _was_closed(record: GateRecord) -> bool:
+    """Whether the gate let somebody through before, and no recovery is under way, whose monitor sends the safe commands itself."""
+    found = beside(record.recovery)
+    return bool(pinned.read(record.let_through)) and (found is None or found.result != "Running")
 
 
 class Outputs(Protocol):

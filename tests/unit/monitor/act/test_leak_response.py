@@ -119,6 +119,20 @@ async def test_a_former_instance_that_goes_on_sending_is_deleted_and_the_gate_cl
     assert driven.graces == [("uid-1", 1)], "w-2 did nothing wrong"
 
 
+async def test_safe_commands_are_due_while_the_gate_is_closed_for_a_leak(tmp_path: Path) -> None:
+    driven = await switched(tmp_path, FORMER, ACTIVE)
+    unattended = driven.monitor.loop.act.unattended
+    assert unattended.since is None
+    await driven.hear(FORMER, ACTIVE)
+    assert driven.objects.gate.state.closed
+    assert unattended.since is not None
+    driven.observer.heard = []
+    await driven.look(QUIET + 1)
+    await driven.look()
+    assert driven.notices.status.health == "Healthy"
+    assert unattended.since is None
+
+
 async def test_a_pod_that_is_being_deleted_slowly_is_ended_at_once(tmp_path: Path) -> None:
     leaving = Instance("w-1", "uid-1", ip="10.0.0.1", running=True, terminating=True)
     driven = await switched(tmp_path, leaving, ACTIVE)

@@ -21,6 +21,7 @@ from tests.unit.monitor.senses import GivenGraph, NoOutputs
 from understudy.api.kinds.failure_policy import Safety
 from understudy.api.kinds.robot_workload import Attempt, RobotWorkloadSpec
 from understudy.failover.interfaces import GateState
+from understudy.failover.pinned import PinnedPod
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.monitor.act import safe_commands
 from understudy.monitor.act.safe_commands import SafeCommands, Unattended
@@ -34,6 +35,9 @@ def progress(**moments: float) -> Progress:
     found = Progress.begin("silent", last_healthy=99.0, detected=100.0)
     found.moments.update(moments)
     return found
+
+
+DROVE = (PinnedPod(name="w-2", uid="u-2", ip="10.0.0.2"),)
 
 
 class Waits:
@@ -106,10 +110,54 @@ class TestUnattended:
         assert found.after == 101.0
         found.conclude(kind)
         assert found.after is None
-        started_at = time.time()
+
+    def test_a_failed_recovery_that_fenced_nobody_begins_no_safe_commands(self) -> None:
+        found = Waits()
         found.conclude("NothingVerified")
+        assert found.after is None, "the failed instance is still let through"
+
+    def test_a_fence_that_no_poll_saw_begins_safe_commands(self) -> None:
+        found = Waits()
+        found.unattended.conclude(Outcome("NothingVerified", progress(fenced=101.0)))
+        assert found.after == 101.0
+
+    def test_an_instance_that_drives_beside_another_receives_no_safe_commands(self) -> None:
+        found = Waits()
+        found.unattended.conclude(
+            Outcome("NothingVerified", progress(fenced=101.0, committed=102.0, first_output=103.0))
+        )
+        assert found.after is None
+
+    def test_safe_commands_begin_when_the_gate_closes_outside_of_a_recovery_and_again_when_it_opens(self) -> None:
+        found, began = Waits(), time.time()
+        found.objects.put_gate(GateState(2, active="w-2", active_uid="u-2", pinned=DROVE))
+        assert found.after is None
+        found.objects.put_gate(GateState(3, pinned=DROVE))
+        closed = found.after
+        assert closed is not None
+        assert began <= closed == found.after
+        found.objects.put_gate(GateState(4, active="w-2", active_uid="u-2", pinned=DROVE))
+        opened = found.after
+        assert opened is not None
+        assert closed < opened == found.after, "whom it names has its time too"
+        found.unattended.driven()
+        assert found.after is None
+
+    def test_a_new_monitor_that_finds_a_closed_gate_sends_safe_commands(self) -> None:
+        found, left = Waits(), progress()
+        left.result = "Failed"
+        found.objects.put_gate(GateState(2, recovery=left, pinned=DROVE))
         assert found.after is not None
-        assert found.after >= started_at
+
+    @pytest.mark.parametrize(
+        "state", [GateState(2), GateState(2, recovery=progress(), pinned=DROVE)], ids=["never opened", "other monitor"]
+    )
+    def test_a_gate_that_never_opened_or_that_another_monitor_closed_begins_no_safe_commands(
+        self, state: GateState
+    ) -> None:
+        found = Waits()
+        found.objects.put_gate(state)
+        assert found.after is None
 
     @given(
         st.lists(
