@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import asyncio
 import base64
+import builtins
 import contextlib
 import itertools
+import json
 import logging
 import time
 from collections.abc import Callable, Mapping
@@ -19,6 +21,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from understudy.agent.control_channel import Operation, Peer, Refused
+from understudy.api.protocol import agent_messages as wire
 
 if TYPE_CHECKING:
     from understudy.ros.actions.action_endpoints import ActionClient, ActionType
@@ -45,6 +48,12 @@ AGAIN = 5.0
 
 MOST_KEPT = 64
 """Ended goals that are remembered, in case the proxy missed their end."""
+
+MOST_BYTES = wire.MAX_LINE // 2
+"""Bytes of the goals in one answer. For a goal that does not fit, the proxy sends its order again, and is informed in an event."""
+
+MOST_IN_EVENT = (wire.MAX_LINE - 4096) // 4 * 3
+"""Bytes of a serialized result or feedback that fit into one event, in base64."""
 
 _UNKNOWN, _CANCELED = 0, 5
 _OPEN = ("waiting", "running")
@@ -107,6 +116,7 @@ class TaskGoals:
         known = self._records.get(id)
         if known is not None and known.state != "rejected":
             known.note = note
+            self._repeat_end(known)
             return
         await asyncio.to_thread(_type, type_name)
         record = self._records[id] = _Record(id, action, type_name, data, note)
@@ -120,6 +130,8 @@ class TaskGoals:
         """
         record = self._records.get(str(body.get("goal")))
         if record is None or record.state not in _OPEN:
+            if record is not None:
+                self._repeat_end(record)
             return {"known": record is not None and record.state == "ended", "accepted": False}
         if record.state == "waiting":
             if record.task is not None:
@@ -136,19 +148,21 @@ class TaskGoals:
         return {"known": True, "accepted": code in (0, 3)}
 
     async def list(self, body: Mapping[str, Any], peer: Peer) -> dict[str, Any]:
-        """Return all goals that were requested, with their states."""
-        now = time.monotonic()
-        return {
-            "goals": [
-                {
-                    **record.to_wire(),
-                    "note": record.note,
-                    "data": base64.b64encode(record.data).decode() if record.state in _OPEN else "",
-                    "ago": now - record.ended if record.ended else 0.0,
-                }
-                for record in self._records.values()
-            ]
-        }
+        """Return the goals that were requested, with their states: the unfinished ones first, then the latest, as many as fit."""
+        now, size = time.monotonic(), 0
+        goals: builtins.list[Mapping[str, Any]] = []
+        for record in sorted(self._records.values(), key=lambda one: (one.state not in _OPEN, -one.ended)):
+            goal = {
+                **record.to_wire(),
+                "note": record.note,
+                "data": base64.b64encode(record.data).decode() if record.state in _OPEN else "",
+                "ago": now - record.ended if record.ended else 0.0,
+            }
+            length = len(json.dumps(goal))
+            if size + length <= MOST_BYTES:
+                goals.append(goal)
+                size += length
+        return {"goals": goals}
 
     async def resent(self, body: Mapping[str, Any], peer: Peer) -> None:
         """Record that the proxy has sent the goals that :meth:`resend` requested."""
@@ -183,7 +197,15 @@ class TaskGoals:
 
     # -- inside -----------------------------------------------------------------------------------------------------
 
+    def _repeat_end(self, record: _Record) -> None:
+        """Send the end of a goal again, for a proxy that missed it and for which it was too large among others."""
+        if record.state not in _OPEN:
+            self._publish({"goal": record.to_wire()})
+
     def _change(self, record: _Record, state: str, *, status: int = _UNKNOWN, result: bytes = b"") -> None:
+        if len(result) > MOST_IN_EVENT:
+            _logger.error("the result of goal %s has %d bytes, so it is left out", record.id, len(result))
+            result = b""
         record.state, record.status, record.result = state, status, result
         record.ended = time.monotonic() if state not in _OPEN else 0.0
         _logger.info("goal %s of %s: %s%s", record.id, record.action, state, f", status {status}" if status else "")
@@ -313,7 +335,7 @@ class TaskGoals:
 
     def _on_feedback(self, goal: str, data: bytes) -> None:
         record = self._records.get(goal)
-        if record is not None and record.state in _OPEN:
+        if record is not None and record.state in _OPEN and len(data) <= MOST_IN_EVENT:
             self._publish({"feedback": {"id": goal, "data": base64.b64encode(data).decode()}})
 
 
