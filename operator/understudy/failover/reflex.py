@@ -116,6 +116,7 @@ async def commit(progress: Progress, context: StrategyContext) -> None:
         if progress.has_failed(instance.uid):
             # No API server is needed for this, and a crashed container is back in a second.
             await context.agents.give_way(instance)
+        if instance.uid != target.uid:
             await context.agents.probe(instance, PROBE_SECONDS)
     await context.gate.commit(target, progress)
     progress.moments["committed"] = context.clock()

@@ -64,6 +64,17 @@ async def test_probes_of_a_fenced_pod_that_pass_are_a_leak_too() -> None:
     assert store.deleted == ["w-1"]
 
 
+async def test_a_standby_whose_rare_probes_pass_is_heard_before_the_recovery_counts() -> None:
+    store = protected(pool="hot")
+    store.add("w-3", pool="hot", ready=False)
+    world = World(store)
+    began = world.clock()
+    store.probes_through["uid-w-3"] = Leak(1.0, began - 0.5, until=began + 0.8)  # one probe at 0.5 s
+    done = await _recovered(store, world)
+    assert done.moments["verified"] >= began + 0.8 - 0.01 + SILENCE_MARGIN
+    assert store.deleted == ["w-1"], "the standby has not failed"
+
+
 @pytest.mark.usefixtures("_short_patience")
 async def test_a_leak_that_lasts_is_never_recorded_as_recovered_and_the_next_instance_stays() -> None:
     store = protected(pool="hot")

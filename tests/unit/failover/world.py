@@ -17,6 +17,7 @@ from understudy.failover.progress import Progress
 from understudy.failover.strategies.base import StrategyContext
 
 PERIOD = 0.005  # seconds between commands of a live instance
+PROBE_PERIOD = 0.001  # seconds between probes in a burst
 
 
 class Killed(BaseException):
@@ -92,7 +93,9 @@ class Store:
     leaks: dict[str, Leak] = field(default_factory=dict)
     """Samples that arrive past the gate, by the name of the pod that sends them."""
     probes_through: dict[str, Leak] = field(default_factory=dict)
-    """Probes that arrive past the gate, by the UID of the pod that sends them."""
+    """Probes that arrive past the gate, by the UID of the pod that sends them. A burst that is asked for is faster."""
+    probed: set[str] = field(default_factory=set)
+    """UIDs of the pods that were asked for a burst of probes."""
     messages: list[str] = field(default_factory=list)
     """The messages to users about its wait for a pod."""
 
@@ -194,6 +197,8 @@ class _Gate(_Part):
 
     def last_packet(self, uid: str) -> float | None:
         leak = self.store.probes_through.get(uid)
+        if leak is not None and uid in self.store.probed:
+            leak = replace(leak, period=PROBE_PERIOD)
         return self.world.last_leaked(leak) if leak is not None else None
 
 
@@ -309,7 +314,7 @@ class _Agents(_Part):
         self.store.gave_way.append(instance.name)
 
     async def probe(self, instance: Instance, duration: float) -> None:
-        return
+        self.store.probed.add(instance.uid)
 
     async def start(self, instance: Instance) -> None:
         self.world.effect()

@@ -107,7 +107,7 @@ async def open_for(target: Instance, progress: Progress, context: StrategyContex
         for _ in range(2):
             await asyncio.sleep(0)
         for instance in context.instances.of_workload():
-            if any(pod.uid == instance.uid for pod in progress.replaced):
+            if instance.uid != target.uid:  # a standby may leak too; without a burst it sends one probe a second
                 await context.agents.probe(instance, PROBE_SECONDS)
         context.save(progress)
         await committing
