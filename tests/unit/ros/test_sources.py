@@ -6,6 +6,7 @@ import os
 
 import pytest
 
+from tests.support.golden import assert_golden
 from tests.support.network_namespaces import network
 from understudy.ros.dds.host_ids import VENDOR, host_id
 from understudy.ros.observe.sample_sources import Sources
@@ -69,6 +70,11 @@ def test_a_pod_without_an_ipv4_address_is_unknown(ip):
     sources = Sources({"p": ip, "f": "10.77.0.3"})
     assert sources.unknown == ["p"]
     assert sources.pod(gid("10.77.0.3")) == "f"
+
+
+def test_a_pod_with_an_ipv6_address_is_reported_and_one_without_an_address_is_not():
+    (problem,) = Sources({"p": "fd00::1", "new": "", "f": "10.77.0.3"}).problems()
+    assert_golden("monitor", problem, "p (fd00::1)", "IPv4")
 
 
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="network namespaces need root")

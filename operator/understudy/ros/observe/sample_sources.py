@@ -48,7 +48,13 @@ class Sources:
         return [names for names in self._pods.values() if len(names) > 1]
 
     def problems(self) -> Iterable[str]:
-        """Yield messages for users about pods that cannot be identified or distinguished."""
+        """Yield messages for users about pods that cannot be identified or distinguished. A pod without an address has not begun."""
+        for name in self.unknown:
+            if ip := self.instances[name]:
+                yield (
+                    f"The messages of {name} ({ip}) cannot be recognized: {MIDDLEWARE.name} identifies hosts by their IPv4 addresses. "
+                    "Use a cluster where the first address of each pod is an IPv4 address."
+                )
         for names in self.ambiguous:
             addresses = ", ".join(f"{name} ({self.instances[name]})" for name in names)
             if len({self.instances[name] for name in names}) == 1:

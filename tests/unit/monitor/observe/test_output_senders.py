@@ -46,6 +46,16 @@ def test_a_sender_on_an_output_that_no_tree_watches_is_heard(observer: HealthObs
     assert (known.name, known.uid, known.may_be) == ("w-2", "uid-2", ("uid-2",))
 
 
+def test_a_sender_that_no_address_tells_may_be_the_instance_with_an_ipv6_address(observer: HealthObserver) -> None:
+    publisher(observer, "/beat", String)
+    arm, active = publisher(observer, "/arm", Twist), Instance("w-2", "uid-2", ip="fd00::2")
+    until(observer, observer.output_senders, each=lambda: arm.publish(Twist()), instances=[active])
+    (sender,) = observer.output_senders()
+    assert (sender.uid, sender.may_be) == ("", ("uid-2",))
+    (problem,) = (one for one in observer.problems if "fd00::2" in one)
+    assert "w-2" in problem
+
+
 def test_a_vanished_instance_that_was_let_through_is_heard_by_a_new_monitor(observer: HealthObserver) -> None:
     publisher(observer, "/beat", String)
     arm, address = publisher(observer, "/arm", Twist), own_address(observer)

@@ -223,6 +223,7 @@ class HealthObserver:
         hosts: dict[bytes, list[KnownSender]] = {}
         for sender in self._senders.all():
             hosts.setdefault(host_at(sender.ip), []).append(sender)
+        unrecognized = hosts.pop(b"", [])
         found: list[OutputSender] = []
         for topic in self.output_topics:
             for host, record in self._watching.records(topic).items():
@@ -231,7 +232,8 @@ class HealthObserver:
                 senders = sorted(hosts.get(host, ()), key=lambda one: not one.listed)
                 name = senders[0].name if senders else self._nodes_at(host, topic)
                 uid = senders[0].uid if senders else ""
-                found.append(OutputSender(topic, name, uid, tuple(one.uid for one in senders), record.last, host))
+                may_be = tuple(one.uid for one in senders or unrecognized)
+                found.append(OutputSender(topic, name, uid, may_be, record.last, host))
         return found
 
     def _nodes_at(self, host: bytes, topic: str) -> str:

@@ -57,7 +57,8 @@ class OutputSender:
     uid: str
     """The UID of the instance; empty if the sender is none."""
     may_be: tuple[str, ...]
-    """The UIDs of the instances that it may be: several if they cannot be distinguished."""
+    """The UIDs of the instances that it may be: several if they cannot be distinguished. If it is none that is recognized: those with an
+    IPv6 address."""
     last: float
     """When its last sample arrived, in Unix seconds."""
     host: bytes = b""
