@@ -305,12 +305,12 @@ class MonitorLoop:
 
     async def _end_leaks(self) -> None:
         while True:
+            await asyncio.sleep(PERIOD)  # first, since the last evaluation was just now and the recovery must not wait
             now = time.time()
             self._drain()
             self.judge.sole_driver.update(self._pods.of_workload(), now)
             if self.decide.limits.pauses.on is None:
                 self.act.leaks.respond_during(self._senses.current, now)
-            await asyncio.sleep(PERIOD)
 
     def _housekeeping(self) -> None:
         """Do the work that is not urgent. Returns at once."""

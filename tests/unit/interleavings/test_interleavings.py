@@ -221,7 +221,10 @@ def test_a_second_driver_of_which_no_condition_says_anything_is_detected() -> No
 
 
 def test_a_second_driver_that_nobody_ends_is_detected() -> None:
-    with mock.patch.object(LeakResponse, "respond", mock.AsyncMock(return_value=False)):
+    with (
+        mock.patch.object(LeakResponse, "respond", mock.AsyncMock(return_value=False)),
+        mock.patch.object(LeakResponse, "respond_during"),
+    ):
         assert found("ends neither", EXECUTING, *FALLS_BEHIND, weather=0.0, first=26)
 
 
