@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from tests.unit.failover.world import Killed, Store, World
@@ -63,6 +65,13 @@ async def test_a_claimed_pod_receives_the_state_behind_the_closed_gate() -> None
     assert done.result == "Recovered"
     assert made.kept_states == {"w-2": made.kept}
     assert recorded(done) == EXPECTED
+
+
+async def test_commands_from_before_the_state_was_restored_expire_before_the_gate_opens() -> None:
+    context = replace((world := World(store(pool="spare", held=True))).context(), expiry=0.2)
+    done = await recover(failure(world), [Choice(UninitializedFallback("spare"), 1.0)], context)
+    assert done.state[0].restored
+    assert done.moments["committing"] - done.moments["started"] >= 0.2
 
 
 async def test_a_restarted_pod_receives_the_state() -> None:

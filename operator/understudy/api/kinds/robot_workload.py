@@ -14,6 +14,7 @@ from understudy.api.base import (
     RosName,
     length,
     matching,
+    seconds,
     unique,
     with_rules,
 )
@@ -92,6 +93,17 @@ class Output(Model):
     def name(self) -> str:
         """The name of the topic, service or action."""
         return self.topic or self.service or self.action or ""
+
+    def valid_for(self, reflex: Reflex | None) -> float:
+        """Return how long a command stays valid, in seconds.
+
+        The deadline of the reflex is longer than the period of the topics, so a longer lifespan is never needed for one.
+        """
+        if self.lifespan is not None:
+            return seconds(self.lifespan)
+        if not self.topic:
+            return seconds(REQUEST_LIFESPAN)
+        return min(seconds(TOPIC_LIFESPAN), seconds(reflex.deadline) if reflex else float("inf"))
 
 
 class WorkloadReference(Model):

@@ -36,6 +36,8 @@ class StrategyContext:
     """Returns the state for the instance that takes over, given the onset of the failure."""
     restore_within: float = 5.0
     """Seconds that restoring state may take."""
+    expiry: float = 0.0
+    """Seconds after which the robot can no longer receive what an instance sent behind the closed gate."""
     holds: Callable[[Strategy], str | None] = lambda strategy: None
     """Returns why a strategy is not tried now although it is available; None if it is tried."""
 

@@ -165,6 +165,7 @@ async def bring_up_and_open(
     strategy's time, by the clock of the event loop.
     """
     await give_state_and_bring_up(target, progress, context, recovery, end=end)
+    given = context.clock()
     if target.has_agent:
         try:
             # An application may need a response of the robot before it publishes: half the time is left for opening the gate first.
@@ -174,8 +175,16 @@ async def bring_up_and_open(
         except TimeoutError:
             ready = context.clock()
         progress.charge("reinitialization", ready)
+    await _expired(given, progress, context)
     await open_for(target, progress, context)
     await wait_enforced(target, progress, context)
+
+
+async def _expired(given: float, progress: Progress, context: StrategyContext) -> None:
+    """Wait until commands that the instance sent before it had its state, and that its writer kept for the robot, have expired."""
+    if any(entry.restored for entry in progress.state) and (left := given + context.expiry - context.clock()) > 0:
+        await asyncio.sleep(left)
+        progress.charge("reinitialization", context.clock())
 
 
 async def give_state_and_bring_up(

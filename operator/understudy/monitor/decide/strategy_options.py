@@ -17,6 +17,9 @@ from understudy.monitor.observe.objects.storm_condition import StormCondition
 CHECK_WITHIN = 0.5
 """Maximum seconds for the check whether a planned hand-over is possible."""
 
+EXPIRY_MOST = 0.5
+"""Longest lifespan in seconds whose end a recovery waits for. The messages of an output with a longer one, such as a map, stay right."""
+
 
 class StrategyOptions:
     """The strategies of one workload's policy, and the resources that exist for them."""
@@ -30,7 +33,14 @@ class StrategyOptions:
         policy, settings = self._view.policy, self._view.settings
         assert settings is not None, "the cluster view has started, so there are settings"
         restore_within = seconds(policy.state.within) if policy is not None else self._context.restore_within
-        return replace(self._context, workload_uid=settings.uid, restore_within=restore_within, holds=self.holds)
+        spec = self._view.spec
+        valid = (
+            [output.valid_for(spec.gate.reflex) for output in spec.outputs if output.topic] if spec is not None else []
+        )
+        expiry = max((length for length in valid if length <= EXPIRY_MOST), default=0.0)
+        return replace(
+            self._context, workload_uid=settings.uid, restore_within=restore_within, expiry=expiry, holds=self.holds
+        )
 
     def choices(self) -> Sequence[Choice]:
         """Return the strategies in order, each with its time limit; empty while they are not known yet."""

@@ -10,8 +10,6 @@ rmw_fastrtps keeps the lifespan of a profile if the node sets none, and it keeps
 
 from __future__ import annotations
 
-from understudy.api.base import seconds
-from understudy.api.kinds.robot_workload import REQUEST_LIFESPAN, TOPIC_LIFESPAN, Output, Reflex
 from understudy.ros.dds.xml_durations import seconds_xml
 
 _HEARTBEATS = 4
@@ -20,18 +18,6 @@ before the reader learned of it and could ask for it again."""
 
 _LONGEST_HEARTBEAT = 3.0
 """The heartbeat period of Fast DDS, in seconds."""
-
-
-def lifespan(output: Output, reflex: Reflex | None = None) -> float:
-    """Return how long a command on an output stays valid, in seconds.
-
-    The deadline of the reflex is longer than the period of the topics, so a longer lifespan is never needed for one.
-    """
-    if output.lifespan is not None:
-        return seconds(output.lifespan)
-    if not output.topic:
-        return seconds(REQUEST_LIFESPAN)
-    return min(seconds(TOPIC_LIFESPAN), seconds(reflex.deadline) if reflex else float("inf"))
 
 
 def writer_qos(length: float) -> str:

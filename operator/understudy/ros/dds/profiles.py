@@ -129,7 +129,7 @@ def instance_profiles_xml(tasks: Iterable[Task], outputs: Iterable[Output] = (),
         for kind in ("data_reader", "data_writer")
     )
     for output in outputs:
-        length = command_lifespan.lifespan(output, reflex)
+        length = output.valid_for(reflex)
         qos, times = command_lifespan.writer_qos(length), command_lifespan.writer_times(length)
         if output.topic and reflex is not None:
             qos = exclusive_ownership.instance_writer(reflex) + qos
