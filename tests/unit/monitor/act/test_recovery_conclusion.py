@@ -62,6 +62,9 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> None:
 def over(result: str) -> Progress:
     done = took_over(0, NOW)
     done.moments["committing"] = COMMITTED
+    if result != "Recovered":
+        del done.moments["verified"]
+        done.moments["fenced"] = NOW
     return done.model_copy(update={"result": result})
 
 
