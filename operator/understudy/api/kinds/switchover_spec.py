@@ -67,9 +67,9 @@ class SwitchoverStatus(Model):
     """Annotation of the last request that has ended. The monitor does not carry out this request again."""
     phase: Phase
     """Waiting: the switchover cannot begin yet. Preparing: the understudy (the instance that takes over) is being
-    prepared. Switching: the gate is open for the understudy, and its outputs are not yet verified at the robot. Done:
-    the understudy controls the robot. NotDone: the switchover was given up, and the previous instance still controls
-    the robot."""
+    prepared, or is prepared and waits for the reason in the message. Switching: the gate is open for the understudy,
+    and its outputs are not yet verified at the robot. Done: the understudy controls the robot. NotDone: the switchover
+    was given up, and the previous instance still controls the robot."""
     message: str = ""
     """Why the switchover waits or did not happen, or its result."""
     target: str = ""
