@@ -20,8 +20,8 @@ from bench.chaos.plan import BY_NAME, Fault
 ENFORCEMENT = 0.05
 """Seconds after a commit in which commands of a fenced instance may still arrive."""
 
-DELIVERY = 0.02
-"""Seconds that a command may take from its sender to the robot beyond its lifespan, which is one period."""
+DELIVERY = 0.05
+"""Seconds that a busy machine may take to expire a command beyond its lifespan, which is one period, or to deliver it."""
 
 LAG = 0.5
 """Largest delay of the record of a commit, in seconds: the new instance's commands may arrive that much earlier."""
@@ -44,8 +44,16 @@ BEFORE = 8.0
 STATE_AGE = 4.0
 """Seconds of work that a failover may lose: kept state is from before the failure, by the gap and the margin, and a quarter older."""
 
-BOUNDS = {"reflex": 0.6, "Executing": 0.6, "Initialized": 6.0, "Uninitialized": 15.0, "Restart": 25.0, "": 0.6}
-"""Seconds without a command, beyond the timeout, that a recovery by a strategy may take; empty if there was no recovery."""
+SWITCH = 0.6
+"""Seconds beyond the timeout that a switch to an instance that drives already may take, and a silence without a recovery."""
+
+VERIFY_WITHIN = {
+    "Fallback/Executing": 3.0,
+    "Fallback/Initialized": 15.0,
+    "Fallback/Uninitialized": 30.0,
+    "Restart": 60.0,
+}
+"""Seconds after which the next strategy is tried, by the policies of the quickstart. Each strategy that was tried may take so long."""
 
 
 @dataclass(frozen=True)
@@ -309,25 +317,30 @@ def gaps(seen: Seen, injected: Sequence[Injected]) -> Iterator[tuple[float, floa
     for a, b in pairwise(seen.commands):
         if b.received - a.received <= seen.timeout:
             continue
-        strategy = _strategy(seen, a.received, b.received)
+        found = _recoveries(seen, a.received, b.received)
         waits = [one.waiting for one in injected if BY_NAME[one.fault.kind].delays]
         explained = covered(waits, a.received, b.received)
-        yield a.received, b.received - a.received - explained, strategy, seen.timeout + _bound(strategy)
+        allowed = seen.timeout + SWITCH + sum(_allowed(recovery) for recovery in found)
+        strategy = max(found, key=_allowed).strategy if found else ""
+        yield a.received, b.received - a.received - explained, strategy, allowed
 
 
-def _strategy(seen: Seen, begin: float, end: float) -> str:
-    """Return the slowest strategy of the recoveries that took place in a silence."""
-    names = [
-        recovery.strategy
+def _recoveries(seen: Seen, begin: float, end: float) -> list[Recovered]:
+    """Return the recoveries that took place in a silence."""
+    return [
+        recovery
         for recovery in seen.recoveries
         if recovery.moments.get("detected", math.inf) <= end
         and recovery.moments.get("routed", recovery.moments.get("verified", end)) >= begin
     ]
-    return max(names, key=_bound, default="")
 
 
-def _bound(strategy: str) -> float:
-    return max((bound for name, bound in BOUNDS.items() if name and name in strategy), default=BOUNDS[""])
+def _allowed(recovery: Recovered) -> float:
+    """Return how many seconds the strategies that were tried may take together. A standby that drives already takes over at once."""
+    tried = [attempt for attempt in recovery.attempts if attempt["result"] != "NotAvailable"]
+    at_once = recovery.result == "Recovered" and "Executing" in recovery.strategy
+    names = [attempt["strategy"] for attempt in (tried[:-1] if at_once else tried)]
+    return sum(seconds for name in names for strategy, seconds in VERIFY_WITHIN.items() if strategy in name)
 
 
 def covered(windows: Iterable[tuple[float, float]], begin: float, end: float) -> float:

@@ -33,9 +33,15 @@ def fault(kind: str, begun: float, ended: float | None = None, *, robot: int = 0
     return Injected(made, begun, begun if ended is None else ended)
 
 
-def recovery(detected: float, routed: float, strategy: str = "Fallback/Executing", reason: str = "") -> Recovered:
+def recovery(
+    detected: float, routed: float, strategy: str = "Fallback/Executing", reason: str = "", failed: Sequence[str] = ()
+) -> Recovered:
     moments = {"detected": detected, "decided": detected, "fenced": routed, "routed": routed}
-    return Recovered(1, reason, "Recovered", strategy, "a", "b", 2, routed - detected, {}, moments)
+    tried = [
+        *({"strategy": name, "result": "NotVerified"} for name in failed),
+        {"strategy": strategy, "result": "Verified"},
+    ]
+    return Recovered(1, reason, "Recovered", strategy, "a", "b", 2, routed - detected, {}, moments, tried)
 
 
 def judged(commands: Sequence[Command], *injected: Injected, **more: Any) -> Judgement:
@@ -123,12 +129,14 @@ def test_commands_that_were_sent_before_the_switch_are_stale() -> None:
     assert whats(found) == ["stale command"]
 
 
-def test_a_gap_counts_against_the_strategy_that_ended_it() -> None:
+def test_a_gap_may_take_the_time_of_the_strategies_that_were_tried() -> None:
     commands = log(drive("a", 1, 10), drive("b", 15, 20))
     commits = [Commit(0.0, 1, ("a",)), Commit(15.0, 2, ("b",))]
     hot, cold = recovery(10.5, 15.0), recovery(10.5, 15.0, "Restart")
     assert whats(judged(commands, KILLED, commits=commits, recoveries=[hot])) == ["gap"]
     assert whats(judged(commands, KILLED, commits=commits, recoveries=[cold])) == []
+    second = recovery(10.5, 15.0, failed=["Fallback/Initialized"])
+    assert whats(judged(commands, KILLED, commits=commits, recoveries=[second])) == []
     assert whats(judged(commands, KILLED, commits=commits)) == ["gap"], "nobody recovered it"
 
 
