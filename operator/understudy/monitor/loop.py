@@ -189,7 +189,7 @@ class MonitorLoop:
         if decision.reason == "NoPodRunning":
             await self.act.opening.request_pod(now)
         elif decision.reason == "StillDriven":
-            await self.act.opening.ask(candidates.first)
+            await self.act.opening.settle()
         elif isinstance(decision, Activate):
             await self.act.opening.open(candidates.first)
             self.judge.detector.watch()  # also after a request without an answer, which may be carried out later

@@ -14,6 +14,7 @@ import pytest
 from tests.unit.monitor.cluster_objects import policy_of
 from tests.unit.monitor.limited_monitor import World, failure
 from tests.unit.monitor.monitors import GivenMonitor
+from understudy.api import names
 from understudy.api.kinds.pause_spec import Pause
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.pinned import PinnedPod
@@ -301,16 +302,23 @@ async def test_after_an_outage_a_closed_gate_does_not_open_before_the_monitor_ha
     monkeypatch.setattr(gate_opening, "OPEN_WITHIN", 0.02)
     monkeypatch.setattr(gate_opening, "OPEN_AGAIN", 0.0)
     monkeypatch.setattr(sole_driver, "CUT_OFF", 0.0)
+    monkeypatch.setattr(sole_driver, "LISTEN", 0.0)  # the monitor is not new
     # The network of the monitor's node is down: it hears nobody, and the API server does not answer.
     driven.observer.heard = []
-    driven.objects.client.failing = lambda method, name: OSError("unreachable")
+    driven.objects.client.failing = lambda method, name: OSError("unreachable") if name == "w-gate" else None
     await driven.look(QUIET + 1)
     tried = len(driven.commits)
+    assert tried > 1
     await driven.look()
     assert len(driven.commits) == tried, "it only asks whether the API server answers"
+    monkeypatch.setattr(sole_driver, "LISTEN", 2.0)
     driven.objects.client.failing = lambda method, name: None
     await driven.look()  # it answers
     await driven.look()
+    patches = [body for method, name, body in driven.objects.client.requests if (method, name) == ("PATCH", "w-gate")]
+    sent = next(body for body in patches if body["metadata"]["annotations"].get(names.ACTIVE) == "w-2")
+    with pytest.raises(ApiError, match="409"):  # the network may deliver it only now
+        await driven.objects.client.patch(driven.objects.view.gate_kind.resource, "fleet", "w-gate", sent)
     assert driven.objects.gate.state.closed, "w-1 may drive, and is not heard yet"
     await driven.hear(FORMER)
     monkeypatch.setattr(sole_driver, "LISTEN", 0.0)

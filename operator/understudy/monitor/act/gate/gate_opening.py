@@ -8,10 +8,10 @@ import logging
 import math
 import time
 
-from understudy.failover.abandoned import ended
+from understudy.failover.abandoned import AbandonedRecovery, ended
 from understudy.failover.interfaces import Instance, Instances, Superseded
 from understudy.failover.progress import PodIdentity
-from understudy.kube.client import FAILURES
+from understudy.kube.client import FAILURES, NO_ANSWER
 from understudy.monitor.act.objects.gate_control import GateControl
 from understudy.monitor.notices import Notices
 
@@ -35,6 +35,8 @@ class GateOpening:
         self._next_asked = 0.0
         self._open_after = -math.inf
         """When the next request is due (monotonic seconds)."""
+        self._is_sent = False
+        """Whether a request had no answer, and may still be carried out."""
 
     async def open(self, first: Instance) -> None:
         """Open the gate for a pod, unless the last request was a moment ago."""
@@ -54,18 +56,25 @@ class GateOpening:
         except (Superseded, *FAILURES) as error:
             _logger.warning("could not open the gate for %s: %r", first.name, error)
             self._open_after = time.monotonic() + OPEN_AGAIN
+            self._is_sent = self._is_sent or isinstance(error, NO_ANSWER)
             return
+        self._is_sent = False
         _logger.info("gate opened for %s, epoch %d", first.name, self._gate.state.epoch)
         self._notices.event("Normal", "InControl", f"{first.name} is active, epoch {self._gate.state.epoch}")
 
-    async def ask(self, first: Instance) -> None:
-        """Find out whether the API server answers again, if it does not, unless the last request was a moment ago."""
-        if self._gate.unanswered_since is None or time.monotonic() < self._open_after:
+    async def settle(self) -> None:
+        """Prevent that a request without an answer still opens the gate, while it must not open.
+
+        The network may deliver the request after an outage. The write also shows when the API server answers again.
+        """
+        is_due = self._is_sent or self._gate.unanswered_since is not None
+        if (record := self._gate.record) is None or not is_due or time.monotonic() < self._open_after:
             return
         self._open_after = time.monotonic() + OPEN_AGAIN
-        with contextlib.suppress(*FAILURES):
+        with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(OPEN_WITHIN):
-                await self._gate.lets_through(first)
+                sent = AbandonedRecovery(id="opening", epoch=record.epoch, sent="")
+                self._is_sent = not await self._gate.overtake(record, sent)
 
     async def request_pod(self, now: float) -> None:
         """Have the workload's own controller run a pod. The controller may have been scaled to zero while a pod of a shared pool was
