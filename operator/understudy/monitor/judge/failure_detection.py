@@ -61,6 +61,8 @@ class FailureDetector:
         self._agents, self._observer = agents, observer
         self._driven_epoch = driven_epoch
         self._debounce = Debounce()
+        self._watched = ""
+        """UID of the instance that is watched."""
         self._since = CLOCK.now()
         self._heard_from: float | None = None
         """From when on an instance that had driven before can be heard, by the process's clock as ``_since``; None for any other one."""
@@ -81,6 +83,7 @@ class FailureDetector:
         self._debounce.clear()
 
     def _judge_since(self, since: float) -> None:
+        self._watched = self._gate.state.active_uid
         self._since, self._heard_from = since, None
 
     def lost(self, active: Instance | None, now: float) -> tuple[Failure | None, float | None] | None:
@@ -108,6 +111,9 @@ class FailureDetector:
 
     def verdict(self, active: Instance, now: float) -> Verdict:
         """Return the verdict of the active instance's health tree."""
+        if self._watched not in ("", active.uid):
+            self.restart()  # another monitor let it through a moment ago, and it has not sent anything yet
+        self._watched = active.uid
         # ``since`` can lie in the future if it comes from another node's clock: then no message would count until that time.
         self._since = min(self._since, CLOCK.now())
         since = self.since

@@ -196,6 +196,15 @@ def test_an_instance_that_takes_over_from_one_that_had_driven_has_the_whole_star
     assert judging.verdict(ACTIVE, judging.since + 29.9).state == "Starting"
 
 
+def test_an_instance_that_another_monitor_lets_through_has_the_whole_startup_grace() -> None:
+    judging, _ = judging_silence({"gap": "500ms"}, driven_epoch=3)
+    start = judging.since
+    assert judging.verdict(ACTIVE, start + 4).state == "Starting"
+    successor = replace(ACTIVE, name="w-2", uid="uid-2")
+    assert judging.verdict(successor, start + 6).state == "Starting"
+    assert judging.verdict(successor, start + 29.9).state == "Starting"
+
+
 @pytest.mark.parametrize(("last_output", "onset"), [(None, 900.0), (950.0, 950.0), (850.0, 900.0)])
 def test_a_failure_that_an_agent_reports_begins_with_the_last_sign_of_health(
     last_output: float | None, onset: float
