@@ -111,6 +111,32 @@ class PublishedStatus:
             driven_epoch=found.gate.epoch if had_driven and found.gate is not None else None,
         )
 
+    def with_recoveries_of(self, other: PublishedStatus) -> PublishedStatus:
+        """Return the same with the recoveries that another monitor of this workload has recorded meanwhile.
+
+        Those that this status no longer lists do not come back: older ones, and a failed one that a later one replaced.
+        """
+
+        def detected(recovery: Recovery) -> str:
+            return recovery.moments.detected or ""
+
+        oldest = detected(self.recoveries[-1]) if len(self.recoveries) >= RECOVERIES_KEPT else ""
+        found = [one for one in other.recoveries if one.result == "Recovered" and detected(one) > oldest]
+        missing = [one for one in found if one.id not in self.recorded]
+        if not missing:
+            return self
+        both = sorted([*self.recoveries, *missing], key=detected, reverse=True)
+        count = max(self.count + len(missing), other.count)
+        numbered = [one.model_copy(update={"number": count - place}) for place, one in enumerate(both)]
+        times = [time for time in (self.last_recovery_time, other.last_recovery_time) if time is not None]
+        return replace(
+            self,
+            recoveries=tuple(numbered[:RECOVERIES_KEPT]),
+            count=count,
+            last_recovery_time=max(times, default=None),
+            spent_times=tuple(sorted({*self.spent_times, *other.spent_times})),
+        )
+
     @property
     def conditions(self) -> list[Condition]:
         """All conditions of the monitor."""
@@ -485,6 +511,13 @@ class Notices:
         )
         self.add(RecoveryRecorded(time.time(), self._status, recovery))
         return recovery
+
+    def merge(self, item: Mapping[str, Any]) -> None:
+        """Take over the recoveries that another monitor of this workload has recorded in the status of its object."""
+        merged = self._status.with_recoveries_of(PublishedStatus.adopt(item))
+        if merged is not self._status:
+            self._status = merged
+            self.add(StatusChanged(time.time(), merged))
 
     def _put(self, fresh: Condition) -> None:
         self._status = replace(self._status, by_type={**self._status.by_type, fresh.type: fresh})

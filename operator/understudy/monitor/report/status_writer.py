@@ -119,6 +119,7 @@ class StatusWriter:
         """
         if item is None or self._answer is None or version_of(item) <= version_of(self._answer):
             return
+        self._notices.merge(item)  # by another monitor of this workload, on a node that was lost
         if _share(item, self._written) == _share(self._answer, self._written) or time.monotonic() < self._again_from:
             return
         _logger.warning("the status of %s was overwritten: writing it again", self._view.workload)

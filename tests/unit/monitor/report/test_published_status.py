@@ -214,6 +214,24 @@ async def test_a_late_status_of_a_dead_monitor_is_overwritten() -> None:
     assert api.writes == writes
 
 
+async def test_recoveries_of_two_monitors_are_both_listed() -> None:
+    api = Applied()
+    one, other = monitor_of(api), monitor_of(api)
+    for number, monitor in enumerate((one, other), 1):
+        progress = Progress.begin("no /cmd_vel", last_healthy=10.0 * number, detected=10.0 * number + 1)
+        progress.result, progress.id = "Recovered", f"r{number}"
+        monitor.record(progress)
+        await monitor.writer.flush()
+    await looked(one, api.item)
+    await looked(other, api.item)
+    listed = [(recovery["id"], recovery["number"]) for recovery in api.item["status"]["recoveries"]]
+    assert (listed, api.item["status"]["recoveryCount"]) == ([("r2", 2), ("r1", 1)], 2)
+    writes = api.writes
+    await looked(one, api.item)
+    await looked(other, api.item)
+    assert api.writes == writes
+
+
 async def test_an_unchanged_status_is_not_written_again() -> None:
     api = Applied()
     living = monitor_of(api)
