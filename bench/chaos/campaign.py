@@ -104,12 +104,14 @@ def _settle(robots: Sequence[CampaignRobot], witness: Witness, before: dict[tupl
             if time.time() - since > QUIET:
                 break
         time.sleep(0.5)
+    while (leaked := _leaked(robots, witness)) and time.time() < begun + SETTLE:
+        time.sleep(1.0)  # standbys that lost nodes brought back are deleted one after the other
     after = witness.memory()
     growth = {
         f"{name} ({pid})": after[name, pid] - size for (name, pid), size in before.items() if (name, pid) in after
     }
     counts = Counter(f"{found.last} ({found.source.split('/')[-1]})" for found in witness.tracebacks)
-    return Aftermath((time.time() if unwell else since) - begun, unwell, _leaked(robots, witness), growth, counts)
+    return Aftermath((time.time() if unwell else since) - begun, unwell, leaked, growth, counts)
 
 
 def _leaked(robots: Sequence[CampaignRobot], witness: Witness) -> list[str]:
