@@ -147,7 +147,10 @@ INSTANCE_PROFILES_DIR = "/etc/understudy-profiles"
 PROFILES_KEY = "profiles.xml"
 
 POD_VARIABLE = "UNDERSTUDY_POD"
-"""Environment variable of an instance's containers with the name of the pod, which Fast DDS puts into the profiles."""
+"""Environment variable of an instance's and of a monitor's containers with the name of the pod, which Fast DDS puts into the profiles."""
+
+POD_UID_VARIABLE = "UNDERSTUDY_POD_UID"
+"""Environment variable with the UID of the pod."""
 
 GATE_KIND_VARIABLE = "UNDERSTUDY_GATE_KIND"
 """The kind of a workload's gate (``spec.gate.kind``), for its monitor."""

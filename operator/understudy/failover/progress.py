@@ -46,6 +46,8 @@ class Progress(Model):
     """The strategy being tried, an index into the policy's list."""
     attempts: list[Attempt] = Field(default_factory=list)
     epoch: int = 0
+    monitor: PodIdentity | None = None
+    """The pod of the monitor that carries it out now; None in a record of an earlier version."""
     resumed: bool = False
     planned: bool = False
     """Whether nothing failed: a degraded instance is replaced while it is idle."""

@@ -160,7 +160,9 @@ class MonitorLoop:
         if not paused and await self.act.leaks.respond(policy, now):
             return Resolution(Wait("GateClosed"))
         prepared = self._prepared_switchover(judgement)
-        resolution = self.decide.decide(policy, judgement, prepared, self._recovery_of_another())
+        other = self._recovery_of_another()
+        may_continue = other is not None and self.observe.other_monitors.may_continue(other)
+        resolution = self.decide.decide(policy, judgement, prepared, other, may_continue=may_continue)
         if resolution.candidates is not None:
             await self._while_closed(resolution.decision, resolution.candidates, now)
         return resolution
@@ -201,6 +203,9 @@ class MonitorLoop:
         interrupted = interrupted_recovery.interrupted(journal, gate, self._notices.status, abandoned)
         if interrupted is not None:
             _logger.warning("finishing recovery %s, which another monitor began", interrupted.id)
+            # First of all, so that what the record named when this was decided still counts.
+            if interrupted.switchover is None and not await self._take_over(interrupted):
+                return
             await self._senses.agents.settle(self._pods.of_workload(), SETTLE)
             if interrupted.switchover is None:
                 await self.carry_out(interrupted)
@@ -208,6 +213,15 @@ class MonitorLoop:
                 self.conclude(await self.act.switchovers.carry_out(Preparation(interrupted)))
         elif (done := interrupted_recovery.concluded(gate, self._notices.status)) is not None:
             self.decide.limits.retries.note(done)
+
+    async def _take_over(self, progress: Progress) -> bool:
+        """Name this monitor as the one that carries out a recovery. Returns False if another writer was first, or an error ended it."""
+        progress.monitor = self._view.me
+        try:
+            return await self._gate.take_over(progress)
+        except ENDS as error:
+            self.conclude(self.act.recoveries.abandoned(progress, error))
+            return False
 
     async def carry_through(self, resolution: Resolution) -> None:
         """Carry out a recovery or a planned switchover that was decided on."""
@@ -232,6 +246,7 @@ class MonitorLoop:
 
     async def carry_out(self, progress: Progress) -> None:
         """Carry a recovery out once the limits allow it, unless there is nothing left to protect."""
+        progress.monitor = self._view.me
         self._black_box.begin(progress)
         try:
             async with self.judge.reassessment.during(progress):

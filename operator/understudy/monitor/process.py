@@ -18,6 +18,7 @@ from understudy import __version__
 from understudy.api import names
 from understudy.api.kinds.robot_workload import MonitorStatus
 from understudy.failover.journal import Journal
+from understudy.failover.progress import PodIdentity
 from understudy.kube.client import Client
 from understudy.kube.events import Recorder
 from understudy.kube.gates import registry
@@ -81,12 +82,18 @@ async def _run(workload: str, namespace: str, state: Path) -> None:
     _logger.info("ended")
 
 
+def _pod() -> PodIdentity | None:
+    """Return the pod of this process; None if its Deployment does not say."""
+    name = os.environ.get(names.POD_VARIABLE)
+    return PodIdentity(name=name, uid=os.environ.get(names.POD_UID_VARIABLE, "")) if name else None
+
+
 async def _protect(workload: str, namespace: str, state: Path) -> None:
     alive = {"ready": 0.0}
     async with Client(default_access(), listener=monitor_metrics.TRAFFIC) as client, asyncio.TaskGroup() as group:
         wakeups = Wakeups()
         gate_kind = registry.KINDS[os.environ.get(names.GATE_KIND_VARIABLE, registry.DEFAULT.kind)]
-        view = ClusterView(client, namespace, workload, wakeups, gate_kind)
+        view = ClusterView(client, namespace, workload, wakeups, gate_kind, _pod())
         pages: dict[str, Page] = {
             "/healthz": lambda: (200, "ok\n"),
             "/ready": lambda: (200, "ok\n") if alive["ready"] else (503, "starting\n"),

@@ -31,6 +31,7 @@ from understudy.controller.runtime import kopf_handlers, watches
 from understudy.controller.runtime import process as running
 from understudy.controller.runtime.workers import Operator
 from understudy.failover.journal import Journal
+from understudy.failover.progress import PodIdentity
 from understudy.kube.client import NETWORK_POLICIES, NODES, PODS, ApiError, Client, Expired, Object, Resource
 from understudy.kube.events import Recorder
 from understudy.kube.gates.base import GateRecord
@@ -102,10 +103,12 @@ class Monitor:
         kill: Callable[[Process], None],
         broken: Callable[[str], None],
         states: KeptStates | None = None,
+        *,
+        pod: PodIdentity,
     ) -> None:
         """``kill`` kills a process; ``broken`` is called with what doesn't hold. Without ``states``, no state is kept."""
         self._states = states
-        self.process, self.workload = process, workload
+        self.process, self.workload, self.pod = process, workload, pod
         self._broken, self._gate = broken, cast("Object | None", None)
         self._network, self._robots, self._journal = network, robots, journal
         self.fuse = Fuse(process, kill)
@@ -170,7 +173,7 @@ class Monitor:
         """As ``understudy.monitor.process`` puts it together."""
         client = self._network.client(self.process)
         async with asyncio.TaskGroup() as group:
-            view = self._view = ClusterView(client, NAMESPACE, self.workload, self.wakeups)
+            view = self._view = ClusterView(client, NAMESPACE, self.workload, self.wakeups, me=self.pod)
             await view.run(group)
             notices = self.notices = Notices(PublishedStatus.adopt(view.object))
             fleet = PodControl(client, view, self.fuse, notices)

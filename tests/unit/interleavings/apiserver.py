@@ -64,6 +64,8 @@ class ApiServer:
         self.items: dict[str, dict[Place, Object]] = defaultdict(dict)
         self._applied = dict(applied or {})
         self.history: dict[str, list[Event]] = defaultdict(list)
+        self.unlisted: dict[Place, Object] = {}
+        """The pods of monitors, which can be read one by one and are in no list and no watch."""
         self._encoded: dict[str, bytes] = {}
         """Objects as JSON, by their versions."""
         self.changed: Callable[[str, Object | None, Object | None, str], None] = lambda plural, old, new, by: None
@@ -95,6 +97,8 @@ class ApiServer:
         if name is None:
             return self._list(plural, namespace, params)
         place = (namespace or "", name)
+        if method == "GET" and plural == "pods" and place in self.unlisted:
+            return self.unlisted[place]
         if method == "GET":
             return self._existing(plural, place)
         if method == "DELETE":

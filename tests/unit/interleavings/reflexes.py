@@ -31,6 +31,7 @@ from understudy.agent import prepare
 from understudy.api import names
 from understudy.api.kinds.robot_workload import Reflex
 from understudy.api.protocol import ownership_strength
+from understudy.failover.progress import PodIdentity
 from understudy.kube.gates.base import GateRecord
 
 FIRST = 1_000_000
@@ -109,8 +110,8 @@ class Reflexive(Simulation):
             says=self._says,
         )
 
-    def _make_monitor(self, process: Process, workload: str, journal: Path) -> Monitor:
-        made = ReflexMonitor(process, self.network, self.mine, workload, journal, self.kill, self._broken)
+    def _make_monitor(self, process: Process, workload: str, journal: Path, pod: PodIdentity) -> Monitor:
+        made = ReflexMonitor(process, self.network, self.mine, workload, journal, self.kill, self._broken, pod=pod)
         invariants = cast(ReflexInvariants, self.invariants)
         made.agents.shut_out = functools.partial(invariants.shut_out, workload)
         return made

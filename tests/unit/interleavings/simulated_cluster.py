@@ -17,6 +17,7 @@ from tests.unit.interleavings.pods import Running
 from tests.unit.interleavings.robots import Robots
 from tests.unit.interleavings.scenes import Outcome, Scene
 from tests.unit.interleavings.scheduling import Killed, Process, VirtualLoop
+from understudy.failover.progress import PodIdentity
 from understudy.kube.client import Object
 from understudy.state import state_store
 
@@ -74,7 +75,7 @@ class SimulatedCluster:
     def _make_invariants(self) -> Invariants:
         return Invariants(self.server, self.robots, broken=self._broken, leads=self._leads)
 
-    def _make_monitor(self, process: Process, workload: str, journal: Path) -> Monitor:
+    def _make_monitor(self, process: Process, workload: str, journal: Path, pod: PodIdentity) -> Monitor:
         return Monitor(
             process,
             self.network,
@@ -84,6 +85,7 @@ class SimulatedCluster:
             self.kill,
             self._broken,
             self.invariants.kept_states if self.scene.keeps else None,
+            pod=pod,
         )
 
     def patches(self) -> Iterator[tuple[Any, str, Any]]:
@@ -157,14 +159,26 @@ class SimulatedCluster:
         self._follow(process, operator.run())
 
     def start_monitor(self, workload: str, journal: str) -> None:
-        """A new monitor; the journal is of the node where it runs."""
+        """A new monitor; the journal is of the pod in which it runs."""
         process = self.loop.process(f"monitor-{next(self._incarnations)} of {workload}")
         file = self._folder / f"{self.outcome.seed}-{workload}-{journal}.json"
-        monitor = self._make_monitor(process, workload, file)
+        monitor = self._make_monitor(process, workload, file, self._create_monitor(workload, journal))
         self.monitors.append(monitor)
         self._journals[process.name] = journal
         self.note(f"{process} starts")
         self._follow(process, monitor.run())
+
+    def _create_monitor(self, workload: str, journal: str) -> PodIdentity:
+        """The pod of a monitor, which is a new one if there is none with this journal."""
+        name = _pod_of_monitor(workload, journal)
+        pod = {"metadata": {"name": name, "uid": f"{name}-uid", "resourceVersion": "1"}}
+        uid = self.server.unlisted.setdefault((NAMESPACE, name), pod)["metadata"]["uid"]
+        return PodIdentity(name=name, uid=uid)
+
+    def delete_monitor(self, pod: str) -> None:
+        """The pod of a monitor is gone, and its process may live on."""
+        if self.server.unlisted.pop((NAMESPACE, pod), None) is not None:
+            self.note(f"  pod {pod} gone")
 
     def _follow(self, process: Process, work: object) -> None:
         task = self.loop.start(process, work)  # type: ignore[arg-type]
@@ -189,10 +203,14 @@ class SimulatedCluster:
             return
         monitor = next(m for m in self.monitors if m.process is process)
         self.monitors.remove(monitor)
-        if not any(m.workload == monitor.workload for m in self.monitors):
-            moved = self.choices.random() < 0.25
+        if any(m.workload == monitor.workload for m in self.monitors):
+            self.delete_monitor(monitor.pod.name)
+        else:
+            exists = (NAMESPACE, monitor.pod.name) in self.server.unlisted
+            moved = self.choices.random() < 0.25 or not exists
             journal = f"other-{next(self._ids)}" if moved else self._journals[process.name]
             if moved:
+                self.delete_monitor(monitor.pod.name)
                 self.note(f"the next monitor of {monitor.workload} starts elsewhere, its journal is lost")
             self.later(0.1 + self.choices.random() * 2, self._start_again, monitor.workload, journal)
 
@@ -200,7 +218,14 @@ class SimulatedCluster:
         # Meanwhile its Deployment may have made another one.
         if not self._calm or not any(monitor.workload == workload for monitor in self.monitors):
             self.start_monitor(workload, journal)
+        else:
+            self.delete_monitor(_pod_of_monitor(workload, journal))
 
     def later(self, seconds: float, work: Callable[..., object], *args: object) -> None:
         """Do something in the world after so many seconds."""
         self.loop.call_later(seconds, work, *args, context=self.world.context)
+
+
+def _pod_of_monitor(workload: str, journal: str) -> str:
+    """The name of the pod of a monitor; its journal is in a volume of the pod."""
+    return f"{workload}-monitor-{journal}"

@@ -155,7 +155,7 @@ def test_the_deletion_of_a_claimed_pod_is_detected() -> None:
 def test_a_status_that_a_dead_monitor_overwrites_is_detected() -> None:
     with mock.patch.object(StatusWriter, "check"):
         troubles = ("second_monitor", "all_fail", "monitor_dies")
-        assert found("than the status", EXECUTING, *troubles, weather=3.0, first=17)
+        assert found("than the status", EXECUTING, *troubles, weather=3.0, first=187)
 
 
 FALLS_BEHIND = ("node_is_forgotten", "node_is_deaf")

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 
 from tests.unit.interleavings import apiserver
-from tests.unit.interleavings.actors import NAMESPACE
+from tests.unit.interleavings.actors import NAMESPACE, Monitor
 from tests.unit.interleavings.apiserver import EPOCH
 from tests.unit.interleavings.network import Weather
 from tests.unit.interleavings.pods import Luck
@@ -24,6 +24,8 @@ TROUBLE = (4.0, 14.0)
 """Seconds, at least and at most, for which things go wrong."""
 LONG, LONGER = 0.5, 90.0
 """How often a monitor that was replaced lives on for minutes, and for how many seconds more at most."""
+FORCED = 0.3
+"""How often the pod of a monitor that was replaced is deleted by force."""
 NOTICES = 0.1
 """Seconds in which an operator that gets a processor again notices that another one leads."""
 TROUBLES = {
@@ -153,6 +155,7 @@ class Troubles(SimulatedCluster):
         self.start_monitor(workload, f"other-{next(self._ids)}")
         if old is not None:
             self.later(self.choices.random() * 8, self.kill, old.process)
+            self._may_be_forced(old)
 
     def _monitor_is_replaced(self) -> None:
         """It loses the API server for long, and not its pods. Its Deployment makes another one, and the active pod fails."""
@@ -163,8 +166,14 @@ class Troubles(SimulatedCluster):
         self.network.cut_off.add(old.process)
         self.later(seconds, self.network.cut_off.discard, old.process)
         self.later(self.choices.random() * 4, self._replace_monitor, old.workload)
+        self._may_be_forced(old)
         fails = self.choices.choice(["freezes", "crashes", "deleted"])
         self.later(self.choices.random() * 8, lambda: self._break(self._active(old.workload), fails))
+
+    def _may_be_forced(self, monitor: Monitor) -> None:
+        """Somebody may delete the pod of a monitor by force, while its process lives on."""
+        if self.choices.random() < FORCED:
+            self.later(self.choices.random() * 10, self.delete_monitor, monitor.pod.name)
 
     def _replace_monitor(self, workload: str) -> None:
         if not self._calm:

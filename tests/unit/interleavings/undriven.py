@@ -7,19 +7,20 @@ from collections.abc import Callable, Sequence
 from tests.unit.interleavings.senses import GAP
 from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import FailurePolicySpec
-from understudy.failover.progress import LASTS
 from understudy.monitor.act.objects.gate_control import RETRY_MOST, TRY_WITHIN
 from understudy.monitor.judge.sole_driver import LISTEN, QUIET
+from understudy.monitor.loop import SETTLE
+from understudy.monitor.observe.objects.other_monitors import ANSWER_WITHIN, ASK_PERIOD
 
 
 def longest(policy: FailurePolicySpec) -> float:
     """Return the seconds within which a working instance drives once nothing hinders its monitor any more, as after an API outage.
 
-    The monitor notices the failure, and its request to the API server ends. It may wait for the recovery of another monitor that has
-    stopped, or until a leak has ended, and then each strategy has its time.
+    The monitor notices the failure, and its request to the API server ends. It may wait until it knows that the monitor whose recovery is
+    under way is gone, and for the agents, or until a leak has ended, and then each strategy has its time.
     """
     strategies = sum(seconds(strategy.verify_within) for strategy in policy.strategies)
-    another, leak = LASTS + strategies, LISTEN + QUIET
+    another, leak = ASK_PERIOD + ANSWER_WITHIN + SETTLE, LISTEN + QUIET
     request = TRY_WITHIN + RETRY_MOST
     return GAP + request + another + leak + seconds(policy.monitoring.startup_grace) + strategies
 

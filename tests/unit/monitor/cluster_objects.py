@@ -16,7 +16,7 @@ from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.protocol.monitor_settings import WorkloadSettings
 from understudy.failover import pinned
 from understudy.failover.interfaces import GateState, Instance
-from understudy.failover.progress import Progress
+from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import CONFIG_MAPS, PODS, POLICIES, WORKLOADS, Object
 from understudy.kube.gates.base import GateKind
 from understudy.monitor.act.objects.cluster import Cluster
@@ -28,6 +28,8 @@ from understudy.monitor.observe.wakeups import Wakeups
 
 TWIST = "geometry_msgs/msg/Twist"
 NAMESPACE = "fleet"
+MONITOR = PodIdentity(name="w-monitor-1", uid="uid-m1")
+"""The pod of the monitor whose objects these are."""
 NOWHERE = Path("/nonexistent")
 """The folder of a monitor that keeps nothing."""
 
@@ -130,7 +132,7 @@ class ClusterObjects:
         self.client = client or MemoryClient()
         self.notices = notices or RecordedNotices()
         self.wakeups, self.crash_points = Wakeups(), CrashPoints(folder)
-        self.view = ClusterView(self.client, NAMESPACE, workload, self.wakeups)
+        self.view = ClusterView(self.client, NAMESPACE, workload, self.wakeups, me=MONITOR)
         self.packets: dict[str, float] = {}
         """When a packet of each pod last got through the gate, by UID."""
         self.pods = PodControl(self.client, self.view, self.crash_points, self.notices)

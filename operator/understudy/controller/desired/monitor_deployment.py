@@ -82,7 +82,8 @@ def deployment(
         "env": [
             *variables(fixed),
             from_field("UNDERSTUDY_POD_IP", "status.podIP"),
-            from_field("UNDERSTUDY_POD", "metadata.name"),
+            from_field(names.POD_VARIABLE, "metadata.name"),
+            from_field(names.POD_UID_VARIABLE, "metadata.uid"),
         ],
         "ports": [{"name": "metrics", "containerPort": names.METRICS_PORT, "protocol": "TCP"}],
         "readinessProbe": {

@@ -360,8 +360,8 @@ def _agent(recipe: Recipe, held: Sequence[str], fenced: Sequence[str], unfenced:
         "args": ["agent"],
         "env": [
             *variables(fixed),
-            from_field("UNDERSTUDY_POD", "metadata.name"),
-            from_field("UNDERSTUDY_POD_UID", "metadata.uid"),
+            from_field(names.POD_VARIABLE, "metadata.name"),
+            from_field(names.POD_UID_VARIABLE, "metadata.uid"),
             from_field("UNDERSTUDY_POD_IP", "status.podIP"),
         ],
         "ports": [

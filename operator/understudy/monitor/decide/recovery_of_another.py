@@ -21,8 +21,8 @@ class RecoveryOfAnother:
         self._since = 0.0
         """When the record was first seen as it is now (monotonic seconds)."""
 
-    def occurrence(self, found: Progress | None) -> Occurrence | None:
-        """Return the trigger; None if no other monitor's recovery is under way.
+    def occurrence(self, found: Progress | None, *, may_continue: bool = True) -> Occurrence | None:
+        """Return the trigger; None if no other monitor's recovery is under way. ``may_continue`` is whether that monitor may exist.
 
         A monitor that lives commits or records the end within the time of the strategies that are left, and the time for which it waits for
         a pod of a shared pool. After that, it counts as stopped.
@@ -36,7 +36,7 @@ class RecoveryOfAnother:
         if found.waiting is not None:
             within += found.waiting.until - found.waiting.since
         unmet = None
-        if time.monotonic() - self._since < within:
+        if may_continue and time.monotonic() - self._since < within:
             words = f"another monitor carries out recovery {found.id}; if it does not end within {within:.0f} s, this monitor continues it"
             unmet = Requirement("RecoveryUnderWay", words)
         return Occurrence(Trigger.INTERRUPTED_RECOVERY, found.reason, unmet=unmet)

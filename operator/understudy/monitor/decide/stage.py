@@ -92,14 +92,17 @@ class DecideStage:
         judgement: Judgement,
         prepared: Preparation | None,
         unconcluded: Progress | None = None,
+        *,
+        may_continue: bool = True,
     ) -> Resolution:
         """Return what to do now.
 
         ``prepared`` is the planned switchover that can be carried out or whose outcome is still open; ``unconcluded`` is the recovery in
-        the gate's record, if it has not ended and is not of this monitor.
+        the gate's record, if it has not ended and this monitor does not carry it out; ``may_continue`` is whether another one may.
         """
         if self._gate.state.closed:
-            return self._activate(policy, judgement.now, unconcluded)
+            other = self._other.occurrence(unconcluded, may_continue=may_continue)
+            return self._activate(policy, judgement.now, other)
         cases = list(self._cases(policy, judgement, prepared))
         if not cases:
             return Resolution(Wait("NothingDue"), deadline=judgement.deadline)
@@ -147,14 +150,13 @@ class DecideStage:
 
     # -- what could happen now --------------------------------------------------------------------------------------
 
-    def _activate(self, policy: FailurePolicySpec, now: float, unconcluded: Progress | None) -> Resolution:
+    def _activate(self, policy: FailurePolicySpec, now: float, other: Occurrence | None) -> Resolution:
         limits = self.limits.in_force(now)
         rightful = self.sole_driver.rightful
         candidates = self._activation.candidates(policy, now, paused=limits.pause is not None, rightful=rightful)
         unmet = candidates.unmet
         if unmet is None and policy.on_leak == "Close" and self.sole_driver.may_be_driven(now):
             unmet = Requirement("StillDriven")
-        other = self._other.occurrence(unconcluded)
         first = Occurrence(Trigger.INITIAL_ACTIVATION, unmet=unmet)
         facts = Facts(now, (first,) if other is None else (other, first), limits)
         return Resolution(decide(facts), candidates=candidates)

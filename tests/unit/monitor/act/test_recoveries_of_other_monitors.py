@@ -12,7 +12,8 @@ import pytest
 from tests.support.clock import Clock
 from tests.unit.kube.memory import MemoryClient
 from tests.unit.monitor.abandoned_recoveries import STANDBY, THIRD, Monitor, monitor_of, started_recovery, written
-from understudy.failover.progress import LASTS, beside
+from understudy.failover.interfaces import Superseded
+from understudy.failover.progress import LASTS, PodIdentity, beside
 from understudy.kube.gates.base import GateRecord
 from understudy.monitor.act.recovery import abandonment
 
@@ -92,3 +93,25 @@ async def test_a_switchover_of_another_monitor_is_not_ended(monitor: Monitor, la
     found = beside(GateRecord.of(later.policy).recovery)
     assert found is not None
     assert found.result == "Running"
+
+
+async def test_a_monitor_commits_nothing_to_a_recovery_that_another_one_has_taken_over(
+    monitor: Monitor, tmp_path: Path
+) -> None:
+    progress = started_recovery().model_copy(update={"monitor": PodIdentity(name="m-1", uid="uid-m1")})
+    await monitor.gate.commit(None, progress)
+    other = monitor.successor(tmp_path / "elsewhere")
+    mine = progress.model_copy(update={"monitor": PodIdentity(name="m-2", uid="uid-m2")})
+    assert await other.gate.take_over(mine)
+    with pytest.raises(Superseded):
+        await monitor.gate.commit(STANDBY, progress)
+    await other.gate.commit(STANDBY, mine)
+    assert GateRecord.of(other.policy).active == STANDBY.name
+
+
+async def test_a_recovery_for_which_the_gate_is_open_is_not_taken_over(later: Monitor, monitor: Monitor) -> None:
+    found = beside(GateRecord.of(later.policy).recovery)
+    assert found is not None
+    before = written(later.client)
+    assert await later.gate.take_over(found.model_copy(update={"monitor": PodIdentity(name="m-2", uid="uid-m2")}))
+    assert written(later.client) == before

@@ -168,6 +168,27 @@ class GateControl:
         self._crash_points.step("after commit")
         return self.state
 
+    async def take_over(self, progress: Progress) -> bool:
+        """Name this monitor in the record of a recovery for which another one closed the gate, before it is continued. Returns False if
+        another writer was first.
+
+        The next epoch ends the commits of the other monitor, if it lives, and a third monitor sees who carries the recovery out. Does
+        nothing if the record names this monitor, or another recovery. Raises what :meth:`commit` raises, except Superseded.
+        """
+        record, found = self.record, self.state.recovery
+        if record is None or record.active or found is None or found.id != progress.id:
+            return True
+        if found.monitor == progress.monitor:
+            return True
+        # This monitor may have carried it out before that other one did.
+        self._own = (progress.id, record.epoch, record.recovery)
+        try:
+            await self.commit(None, progress)
+        except Superseded as error:
+            _logger.info("recovery %s is not continued: %s", progress.id, error)
+            return False
+        return True
+
     def _still_ours(self, previous: GateRecord, progress: Progress | None) -> None:
         """Raise Superseded if a recovery under way would undo the commit of another writer: a second monitor or ``understudy fence``.
 

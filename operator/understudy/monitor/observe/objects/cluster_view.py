@@ -13,6 +13,7 @@ from understudy.api.kinds.failure_policy import FailurePolicySpec, following, in
 from understudy.api.kinds.procedure_spec import Procedure
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.protocol.monitor_settings import WorkloadSettings
+from understudy.failover.progress import PodIdentity
 from understudy.kube.client import CONFIG_MAPS, PODS, POLICIES, WORKLOADS, Client, Object
 from understudy.kube.gates import registry
 from understudy.kube.gates.base import GateKind, GateRecord
@@ -55,9 +56,10 @@ class ClusterView:
         workload: str,
         wakeups: Wakeups,
         gate: GateKind = registry.DEFAULT,
+        me: PodIdentity | None = None,
     ) -> None:
-        """``gate`` is the kind of the workload's gate."""
-        self.client, self.namespace, self.workload = client, namespace, workload
+        """``gate`` is the kind of the workload's gate; ``me`` is this monitor's pod, if it is known."""
+        self.client, self.namespace, self.workload, self.me = client, namespace, workload, me
         self._wakeups = wakeups
         self.gate_kind = gate
 
