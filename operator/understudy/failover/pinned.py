@@ -1,4 +1,4 @@
-"""The identities of the instances that the gate let through of late.
+"""The identities of the instances that the gate let through of late, or that reached the robot although it did not.
 
 They stay known after their pods' objects are gone, because a process may outlive its object, for example on a node that the cluster has
 lost. The list is written with every commit of the gate, so that a new monitor knows them too.

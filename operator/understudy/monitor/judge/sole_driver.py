@@ -14,6 +14,7 @@ from typing import Protocol
 
 from understudy.clock import ClockSteps
 from understudy.failover.interfaces import Gate, Instance
+from understudy.failover.pinned import PinnedPod
 from understudy.kube.gates.base import Proof
 from understudy.monitor.notices import ConditionReport, LeaksCounted, Notices
 from understudy.monitor.observe.robot.known_senders import KnownSender, OutputSender
@@ -275,6 +276,13 @@ class SoleDriver:
             return True
         signs = (one.sign for one in self._tracks.values() if one.is_heard(now))
         return any(sign.uid and sign.is_former and sign.uid != self.rightful for sign in signs)
+
+    def identities(self) -> tuple[PinnedPod, ...]:
+        """Return by what a new monitor recognizes the instances that leak, whether the gate ever let them through or not."""
+        known = {one.uid: one for one in self._outputs.known_senders()}
+        return tuple(
+            PinnedPod(name=leak.name, uid=leak.uid, ip=known[leak.uid].ip) for leak in self.leaks if leak.uid in known
+        )
 
     def verified(self, at: float) -> None:
         """Note that the active instance was the only one that drove at a time: what was heard before has ended."""

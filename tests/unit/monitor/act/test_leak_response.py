@@ -120,6 +120,15 @@ async def test_a_former_instance_that_goes_on_sending_is_deleted_and_the_gate_cl
     assert driven.graces == [("uid-1", 1)], "w-2 did nothing wrong"
 
 
+async def test_the_gate_keeps_the_identity_of_a_leaking_instance_that_was_never_let_through(tmp_path: Path) -> None:
+    leaving = replace(STANDBY, terminating=True)
+    driven = await switched(tmp_path, ACTIVE, leaving)
+    driven.observer.senders = [KnownSender("w-3", "uid-3", "10.0.0.3", driven.now, listed=False)]
+    await driven.hear(leaving, ACTIVE)
+    assert driven.commits == [""]
+    assert [pod.uid for pod in driven.objects.gate.state.pinned][:2] == ["uid-2", "uid-3"], "a new monitor knows it too"
+
+
 async def test_safe_commands_are_due_while_the_gate_is_closed_for_a_leak(tmp_path: Path) -> None:
     driven = await switched(tmp_path, FORMER, ACTIVE)
     unattended = driven.monitor.loop.act.unattended

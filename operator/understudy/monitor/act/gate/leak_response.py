@@ -113,7 +113,7 @@ class LeakResponse:
         left = ended(state.recovery) if state.recovery is not None else None
         try:
             async with asyncio.timeout(CLOSE_WITHIN):
-                await self._gate.commit(None, left)
+                await self._gate.commit(None, left, leaking=self._sole_driver.identities())
         except (Superseded, *FAILURES) as error:
             _logger.warning("could not close the gate for %s: %r", state.active, error)
             self._close_after = time.monotonic() + CLOSE_AGAIN

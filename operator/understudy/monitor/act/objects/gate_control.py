@@ -6,6 +6,7 @@ import asyncio
 import logging
 import math
 import time
+from collections.abc import Sequence
 
 from pydantic import ValidationError
 
@@ -103,8 +104,10 @@ class GateControl:
             pinned=pinned.read(record.let_through),
         )
 
-    async def commit(self, target: Instance | None, progress: Progress | None) -> GateState:
-        """Open the gate for one instance, or close it (None), at the next epoch.
+    async def commit(
+        self, target: Instance | None, progress: Progress | None, *, leaking: Sequence[PinnedPod] = ()
+    ) -> GateState:
+        """Open the gate for one instance, or close it (None), at the next epoch. The record keeps the identities of leaking instances too.
 
         Tries again until the API server answers. Raises ApiError if it refuses, and Superseded if the gate does not exist or
         another writer changed it: during this commit, since the last commit of this recovery, or for a pod that this recovery
@@ -124,7 +127,7 @@ class GateControl:
         waits_for = progress.waiting.pool if progress is not None and progress.waiting is not None else ""
         if progress is not None:
             self._own = (progress.id, previous.epoch, recovery)
-        let_through = self._pinned(previous, target)
+        let_through = self._pinned(previous, target, leaking)
         asked = time.monotonic()
         while True:
             self._still_needed(record, progress)
@@ -216,12 +219,13 @@ class GateControl:
                 f"another process changed the gate, which now admits {previous.active}; this recovery is for another instance"
             )
 
-    def _pinned(self, over: GateRecord, target: Instance | None) -> str:
-        """Return the pods that the gate let through of late, with this one, as JSON for its record; empty if there are none."""
+    def _pinned(self, over: GateRecord, target: Instance | None, leaking: Sequence[PinnedPod] = ()) -> str:
+        """Return the pods that the gate let through of late, with this one and those that leak, as JSON for its record; empty if there are
+        none."""
         # The list lacks the active pod if an earlier version opened the gate for it.
         active = next((i for i in self._fleet.of_workload() if i.uid == over.active_uid), None)
         named = [PinnedPod(name=i.name, uid=i.uid, ip=i.ip) for i in (target, active) if i is not None]
-        pods = pinned.with_pods(pinned.read(over.let_through), *named)
+        pods = pinned.with_pods(pinned.read(over.let_through), *named, *leaking)
         return pinned.write(pods) if pods else ""
 
     def _still_needed(self, record: GateRecord, progress: Progress | None) -> None:
