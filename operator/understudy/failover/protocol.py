@@ -153,13 +153,15 @@ async def unless_lost(
 
 
 async def _loss(progress: Progress, context: StrategyContext, *, crashing_counts: bool) -> str:
-    """Wait until the instance that is brought up is lost, and return the reason."""
+    """Wait until the instance that is brought up is lost, and return the reason. Raises Superseded if the gate lets another one through."""
     missing: float | None = None
     while True:
         await asyncio.sleep(LOST_CHECK_PERIOD)
         if progress.target is None:
             continue
         uid, name = progress.target.uid, progress.target.name
+        if "committed" in progress.moments:
+            _assert_admitted(uid, name, context)
         found = next((i for i in context.instances.of_workload() if i.uid == uid), None)
         if found is not None and found.terminating:
             return f"pod {name} is being deleted"
@@ -213,9 +215,13 @@ async def alone(target: Instance, progress: Progress, context: StrategyContext) 
         if is_leaking and clock() - began >= SILENT_WITHIN:
             raise StillDriven(f"{pod} still reaches the robot, although the gate does not let it through")
         await asyncio.sleep(min(left, SILENCE_CHECK_PERIOD))
-    if context.gate.state.active_uid != target.uid:
-        raise Superseded(f"the gate admits {context.gate.state.active or 'no pod'}, not {target.name}")
+    _assert_admitted(target.uid, target.name, context)
     moments["verified"] = clock()
+
+
+def _assert_admitted(uid: str, name: str, context: StrategyContext) -> None:
+    if (state := context.gate.state).active_uid != uid:
+        raise Superseded(f"the gate admits {state.active or 'no pod'}, not {name}")
 
 
 def _last_sign(target: Instance, progress: Progress, context: StrategyContext) -> tuple[float, str]:

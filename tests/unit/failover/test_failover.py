@@ -159,6 +159,21 @@ async def test_a_stale_monitor_does_not_undo_a_newer_epoch() -> None:
     assert store.gate.active == "w-9"
 
 
+async def test_a_gate_that_is_replaced_during_a_recovery_is_not_the_fault_of_the_instance() -> None:
+    store = protected(pool="hot")
+    store.broken.add("w-2")
+    store.watched = True
+    world = World(store)
+    recovering = asyncio.create_task(recover(failure(world), [Choice(ExecutingFallback("hot"), 3.0)], world.context()))
+    while not store.commits:
+        await asyncio.sleep(0.01)
+    await asyncio.sleep(0.05)
+    store.gate = GateState(epoch=1)  # somebody deleted it, and the operator created it again
+    with pytest.raises(Superseded):
+        await recovering
+    assert store.deleted == []
+
+
 async def test_without_a_failed_pod_any_ready_instance_takes_over() -> None:
     store = Store()
     store.add("w-2", pool="hot")

@@ -41,6 +41,8 @@ class Store:
     broken: set[str] = field(default_factory=set)
     """Pods (by name) that never output anything."""
     gate: GateState = field(default_factory=GateState)
+    watched: bool = False
+    """Whether a monitor sees at once what others do to the gate."""
     journal: Progress | None = None
     commits: list[str] = field(default_factory=list)
     claims: dict[str, str] = field(default_factory=dict)
@@ -168,7 +170,7 @@ class _Gate(_Part):
 
     @property
     def state(self) -> GateState:
-        return self._cached_gate
+        return self.store.gate if self.store.watched else self._cached_gate
 
     async def commit(self, target: Instance | None, progress: Progress | None) -> GateState:
         self.world.effect()
