@@ -66,6 +66,9 @@ LET_THROUGH = f"{GROUP}/let-through"
 RECOVERY = f"{GROUP}/recovery"
 """Annotation of the gate: the recovery that committed it, as JSON, so that a new monitor can complete it."""
 
+BESIDE = f"{GROUP}/beside"
+"""Annotation of a discovery server's pod: the UID of its predecessor's pod, whose process may have lived beside it on a lost node."""
+
 OVERTAKEN = f"{GROUP}/overtaken"
 """Annotation of the gate: the last recovery that was abandoned without an answer to its commit. The API server now refuses this commit."""
 

@@ -125,6 +125,9 @@ class Resource:
         return "/".join(parts)
 
 
+EVICTION = "DeletionByTaintManager"
+"""Reason in the condition DisruptionTarget of a pod that is deleted because its node is not ready or unreachable."""
+
 PODS = Resource("", "v1", "pods")
 POD_METRICS = Resource("metrics.k8s.io", "v1beta1", "pods")
 SERVICES = Resource("", "v1", "services")

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from understudy.api import names
 from understudy.controller import plan
-from understudy.controller.plan import Images, priority, pull_secrets
+from understudy.controller.observed import kube_objects
+from understudy.controller.plan import Delete, Images, Patch, Write, priority, pull_secrets
 from understudy.controller.pods import pod_placement
 from understudy.controller.pods.instance_pod import HARDENED
-from understudy.kube.client import Object
+from understudy.kube.client import PODS, Object
 from understudy.ros.rmw import MIDDLEWARE
 
 _REQUESTS = {"cpu": "10m", "memory": "32Mi"}
@@ -69,6 +72,24 @@ def deployment(workload: str, images: Images, address: str) -> Object:
         "volumes": [{"name": "tmp", "emptyDir": {}}],
     }
     return plan.deployment(names.discovery(workload), _labels(workload), {}, pod)
+
+
+def replacements(pods: Sequence[Object]) -> list[Write]:
+    """Return the writes by which a server that began beside another one is replaced once that one is gone.
+
+    All servers of a workload have one GUID. A server on a lost node may live on and come back, and participants that hear it do not
+    introduce themselves to its successor. The successor would not know, for example, all topics of the robot, as long as it lives.
+    """
+    present = {kube_objects.uid(pod) for pod in pods}
+    lost = next((kube_objects.uid(pod) for pod in pods if kube_objects.evicted(pod)), None)
+    writes: list[Write] = []
+    for pod in filter(kube_objects.alive, pods):
+        beside = (pod["metadata"].get("annotations") or {}).get(names.BESIDE)
+        if beside is None and lost is not None:
+            writes.append(Patch(PODS, pod, {"metadata": {"annotations": {names.BESIDE: lost}}}))
+        elif beside is not None and beside not in present:
+            writes.append(Delete(PODS, pod))
+    return writes
 
 
 def _apart(workload: str) -> Object:

@@ -9,7 +9,7 @@ from datetime import datetime
 from understudy.api import names
 from understudy.api.base import API_VERSION
 from understudy.api.conditions import Condition
-from understudy.kube.client import Object
+from understudy.kube.client import EVICTION, Object
 
 MANAGED_BY = {"app.kubernetes.io/managed-by": "understudy"}
 """Label of every object that the operator creates, so that one list per resource finds them all."""
@@ -73,6 +73,12 @@ def alive(pod: Object) -> bool:
 def ended(pod: Object) -> bool:
     """Whether a pod has ended permanently, for example by eviction, and only remains as a record."""
     return not deleted(pod) and (pod.get("status") or {}).get("phase") in ("Failed", "Succeeded")
+
+
+def evicted(pod: Object) -> bool:
+    """Whether a pod is being deleted because its node is lost. Its processes may live on."""
+    conditions = (pod.get("status") or {}).get("conditions") or []
+    return deleted(pod) and any((c["type"], c.get("reason")) == ("DisruptionTarget", EVICTION) for c in conditions)
 
 
 def ready(pod: Object) -> bool:

@@ -14,7 +14,7 @@ from understudy.api import names
 from understudy.api.protocol.monitor_settings import WorkloadSettings
 from understudy.failover.interfaces import ClaimLost, Instance, NotAvailable
 from understudy.kube import claims
-from understudy.kube.client import FAILURES, PODS, REPLICA_SETS, ApiError, Client, Object
+from understudy.kube.client import EVICTION, FAILURES, PODS, REPLICA_SETS, ApiError, Client, Object
 from understudy.kube.watched_collection import any_changed
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.notices import Notices, PodClaimed
@@ -25,9 +25,6 @@ _logger = logging.getLogger(__name__)
 
 CRASH_LOOP = "CrashLoopBackOff"
 """The kubelet's reason if it delays the start of a container that ended repeatedly."""
-
-EVICTION = "DeletionByTaintManager"
-"""Reason in the condition DisruptionTarget of a pod that is deleted because its node is not ready or unreachable."""
 
 LIST_WITHIN = 1.0
 """Seconds without an answer to a list after which the API server is asked for something small."""

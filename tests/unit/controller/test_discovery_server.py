@@ -1,0 +1,59 @@
+"""A discovery server that lived beside its predecessor on a lost node is replaced: participants may not have announced themselves to it."""
+
+from __future__ import annotations
+
+import copy
+
+import pytest
+
+from tests.unit.controller.world import World, hot, pod, policy, workload
+from understudy.api import names
+from understudy.controller.plan import Delete, Patch
+from understudy.kube.client import EVICTION, Object
+
+
+@pytest.fixture
+def world() -> World:
+    made = World(workload(), policy("hot", "Restart"), hot())
+    made.build()
+    return made
+
+
+def leaving(name: str, *, evicted: bool) -> Object:
+    made = pod(name, ready=False, deletionTimestamp="2026-01-01T00:00:00Z")
+    if evicted:
+        made["status"]["conditions"].append({"type": "DisruptionTarget", "status": "True", "reason": EVICTION})
+    return made
+
+
+def writes(world: World) -> list[tuple[str, str]]:
+    """The patches and deletions of discovery servers."""
+    servers = {server["metadata"]["uid"] for server in world.discovery}
+    return [
+        (type(write).__name__, write.item["metadata"]["name"])
+        for write in world.plan().writes
+        if isinstance(write, Patch | Delete) and write.item["metadata"].get("uid") in servers
+    ]
+
+
+def marked(server: Object, beside: str) -> Object:
+    found = copy.deepcopy(server)
+    found["metadata"]["annotations"] = {names.BESIDE: beside}
+    return found
+
+
+def test_a_server_beside_one_on_a_lost_node_is_replaced_once_that_one_is_gone(world: World) -> None:
+    lost, successor = leaving("w-discovery-1", evicted=True), pod("w-discovery-2")
+    world.discovery = [lost, successor]
+    assert writes(world) == [("Patch", "w-discovery-2")]
+    world.discovery = [lost, marked(successor, "uid-w-discovery-1")]
+    assert writes(world) == [], "it may still live on"
+    world.discovery = [marked(successor, "uid-w-discovery-1")]
+    assert writes(world) == [("Delete", "w-discovery-2")]
+
+
+def test_a_server_whose_predecessor_was_deleted_otherwise_stays(world: World) -> None:
+    world.discovery = [leaving("w-discovery-1", evicted=False), pod("w-discovery-2")]
+    assert writes(world) == []
+    world.discovery = [pod("w-discovery-2")]
+    assert writes(world) == []
