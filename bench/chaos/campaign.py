@@ -49,7 +49,7 @@ def run(kubeconfig: Path, namespace: str, options: argparse.Namespace) -> int:
     folder.mkdir()
     kubectl("create", "namespace", namespace)
     try:
-        robots = start(kubectl, options.robots, options.timeout)
+        robots = start(kubectl, options.robots, options.timeout, folder)
         with Witness(kubectl, [robot.workload for robot in robots], folder) as witness:
             begun = time.time()
             before = witness.memory()
@@ -59,6 +59,9 @@ def run(kubeconfig: Path, namespace: str, options: argparse.Namespace) -> int:
     finally:
         _whole(kubectl)
         kubectl("delete", "namespace", namespace, "--wait=false")
+        volumes = [one["metadata"]["name"] for one in kubectl.list("persistentvolumes")]
+        for volume in (one for one in volumes if one.startswith(namespace)):
+            kubectl("delete", "persistentvolume", volume, "--wait=false")
     report = summarize(options.seed, injected, judgements, aftermath, settled_within=SETTLE)
     command = f"--faults {options.faults} --seed {options.seed} --robots {options.robots} --every {options.every:g}"
     only = f" --only {' '.join(options.only)}" if options.only else ""
@@ -143,6 +146,7 @@ def _judge(
         steps=journal.steps,
         finished=journal.finished,
         goals=_ended(robot.goals()),
+        nodes=witness.nodes(),
     )
     dump(
         folder / f"{robot.name}.json",

@@ -38,6 +38,13 @@ REPAIR = 1.5
 TAMPERED = {"gate-delete", "gate-edit", "label-remove", "label-exchange"}
 """The kinds of faults that do such a thing."""
 
+CATCHES_UP = 5.0
+"""Seconds within which a node that was cut off applies the policies that it has missed, if the API server answers. Until then its network
+lets an instance through that was fenced meanwhile, which no product on top of network policies can prevent."""
+
+API = {"api-stop", "api-slow", "api-flap"}
+"""The kinds of faults during which nobody learns of changes."""
+
 BEFORE = 8.0
 """Seconds before a switch in which a fault may have been its cause."""
 
@@ -114,6 +121,8 @@ class Seen:
     """Goals that the robot saw finished, each with the instance, once for each time."""
     goals: Mapping[str, str] = field(default_factory=dict)
     """The result of each accepted goal at its client; empty if the client still waits."""
+    nodes: Mapping[str, str] = field(default_factory=dict)
+    """The node of each instance."""
 
 
 @dataclass(frozen=True)
@@ -146,6 +155,8 @@ class Judgement:
     """Seconds without commands by strategy, without what faults explain."""
     lost_steps: list[int] = field(default_factory=list)
     recoveries: Counter[str] = field(default_factory=Counter)
+    caught_up: list[float] = field(default_factory=list)
+    """Seconds from the return of a node that was cut off to the last command of a fenced instance on it, if that was soon enough."""
     repaired: list[float] = field(default_factory=list)
     """Seconds from tampering to the last command that it let through, if that was soon enough."""
     unexplained: int = 0
@@ -170,14 +181,19 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
         found.repaired += [max(0.0, end - max(moments))] if moments else []
         return bool(moments)
 
+    def is_late_network(end: float, *pods: str) -> bool:
+        behind = [moment for pod in pods if (moment := returned(seen.nodes.get(pod, ""), end, injected)) is not None]
+        found.caught_up += [max(0.0, end - max(behind))] if behind else []
+        return bool(behind)
+
     for begin, end, pods in double_drives(seen.commands, seen.commits if seen.reflex else ()):
-        if undone(begin, end):
+        if undone(begin, end) or is_late_network(end, *pods):
             continue
         found.double_drives.append(end - begin)
         violation("double drive", end, f"{' and '.join(pods)} drove together for {end - begin:.3f} s", begin)
     for group in _runs(uncontrolled(seen.commands, seen.commits)):
         first, after = group[0]
-        if undone(first.received, group[-1][0].received):
+        if undone(first.received, group[-1][0].received) or is_late_network(group[-1][0].received, first.source):
             continue
         if math.isinf(after):
             found.strangers += len(group)
@@ -199,6 +215,8 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
             text = f"{length:.2f} s without a command ({strategy or 'no recovery'}; {allowed:.2f} s are allowed)"
             violation("gap", begin + length, text, begin)
     for at, steps, pods in lost_steps(seen):
+        if any(returned(seen.nodes.get(pod, ""), at, injected) is not None for pod in pods):
+            continue  # the commands of two instances alternate
         found.lost_steps.append(steps)
         if steps > STATE_AGE / period:
             violation("state lost", at, f"{steps} steps, from {pods[0]} to {pods[1]}")
@@ -237,6 +255,16 @@ def _dated(commits: Sequence[Commit], recoveries: Sequence[Recovered]) -> list[C
 def affects(injected: Injected, robot: int) -> bool:
     """Return whether a fault may have affected a robot."""
     return bool(BY_NAME[injected.fault.kind].shared) or injected.fault.robot == robot
+
+
+def returned(node: str, at: float, injected: Sequence[Injected]) -> float | None:
+    """Return when a node came back that had been cut off, if it may not have caught up at a time; None if it had."""
+    for cut in injected:
+        if cut.fault.kind == "node-cut" and cut.told == node and not cut.refused and cut.begun <= at:
+            away = covered([one.waiting for one in injected if one.fault.kind in API], cut.ended, at)
+            if at - cut.ended - away <= CATCHES_UP:
+                return cut.ended
+    return None
 
 
 def double_drives(

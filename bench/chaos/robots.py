@@ -12,7 +12,7 @@ from understudy_demo.robotview import RobotLog
 
 from tests.e2e.faults import staying
 from tests.e2e.kubectl import Kubectl, Object
-from tests.e2e.scenario import APPLICATION, Robot, manifest
+from tests.e2e.scenario import APPLICATION, Robot, manifest, shared_claim
 from understudy.api import names
 
 HOUSE = "node1"
@@ -26,6 +26,9 @@ PERIOD = 0.05
 
 GOAL = 24
 """Steps of each goal of the worker's client."""
+
+KEPT = "kept"
+"""End of the name of the claim of a worker's kept state, which outlasts the node of its monitor."""
 
 _PROGRAM = "/nodes/worker.py"
 _FILE = Path(__file__).with_name("worker.py")
@@ -109,7 +112,7 @@ class CampaignRobot(Robot):
                 "restoreTo": "/restore_progress",
                 "maxAge": "10m",
             }
-            spec["state"] = {"keep": [kept]}
+            spec["state"] = {"keep": [kept], "storage": {"claimName": f"{self.name}-{KEPT}"}}
 
     def _workload(self, item: Object) -> None:
         spec = item["spec"]
@@ -195,12 +198,14 @@ def _volume() -> Object:
     return {"name": "nodes", "configMap": {"name": "nodes"}}
 
 
-def start(kubectl: Kubectl, count: int, timeout: float) -> Sequence[CampaignRobot]:
-    """Create so many robots, and wait until all are protected."""
+def start(kubectl: Kubectl, count: int, timeout: float, folder: Path) -> Sequence[CampaignRobot]:
+    """Create so many robots, and wait until all are protected. The workers' kept state is in the folder."""
     program = {"apiVersion": "v1", "kind": "ConfigMap", "metadata": {"name": "nodes"}}
     kubectl.apply([program | {"data": {"worker.py": _FILE.read_text()}}])
     robots = [CampaignRobot(kubectl, index, timeout) for index in range(count)]
     for robot in robots:
+        if robot.way.worker:
+            kubectl.apply(shared_claim(kubectl, f"{robot.name}-{KEPT}", folder / f"{robot.name}-{KEPT}"))
         kubectl.apply(robot.all_objects())
     for robot in robots:
         robot.wait_protected(240)

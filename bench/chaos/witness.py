@@ -81,6 +81,7 @@ class Witness:
         self._status: dict[str, Object] = {}
         self._recoveries: dict[tuple[str, int], Object] = {}
         self._commits: dict[str, list[Commit]] = {names.gate(workload): [] for workload in workloads}
+        self._nodes: dict[str, str] = {}
         self._read: dict[Path, int] = {}
         self.tracebacks: list[Traceback] = []
         self._ended = threading.Event()
@@ -116,6 +117,10 @@ class Witness:
     def pods(self) -> list[PodSeen]:
         """Return all pods of the namespace."""
         return list(self._pods.values())
+
+    def nodes(self) -> Mapping[str, str]:
+        """Return the node of each pod that there was."""
+        return dict(self._nodes)
 
     def _living(self) -> list[PodSeen]:
         return [pod for pod in self._pods.values() if not pod.deleted and pod.node]
@@ -177,6 +182,7 @@ class Witness:
             for entry in status.get("recoveries") or []:
                 self._recoveries[name, int(entry["number"])] = entry
         self._pods = {pod["metadata"]["name"]: _pod(pod) for pod in self._kubectl.list("pods")}
+        self._nodes |= {pod.name: pod.node for pod in self._pods.values() if pod.node}
         system = self._kubectl.in_namespace(SYSTEM).list("pods", "app.kubernetes.io/name=understudy")
         self._operators = [_pod(pod) for pod in system]
 

@@ -291,3 +291,24 @@ class Robot:
                 self.delete(pod, force=True)
             case _:
                 raise ValueError(how)
+
+
+def shared_claim(kubectl: Kubectl, claim: str, folder: Path) -> list[Object]:
+    """Return a PersistentVolumeClaim and its volume NAMESPACE-CLAIM in a new folder, which all nodes of the local provider can mount."""
+    folder.mkdir()
+    nodes = [node["metadata"]["name"] for node in kubectl.list("nodes")]
+    on = {"matchExpressions": [{"key": "kubernetes.io/hostname", "operator": "In", "values": nodes}]}
+    common = {"accessModes": ["ReadWriteMany"], "storageClassName": "", "volumeMode": "Filesystem"}
+    name = f"{kubectl.namespace}-{claim}"
+    volume = common | {
+        "capacity": {"storage": "100Mi"},
+        "persistentVolumeReclaimPolicy": "Retain",
+        "claimRef": {"namespace": kubectl.namespace, "name": claim},
+        "local": {"path": str(folder)},
+        "nodeAffinity": {"required": {"nodeSelectorTerms": [on]}},
+    }
+    wanted = common | {"resources": {"requests": {"storage": "100Mi"}}, "volumeName": name}
+    return [
+        {"apiVersion": "v1", "kind": "PersistentVolume", "metadata": {"name": name}, "spec": volume},
+        {"apiVersion": "v1", "kind": "PersistentVolumeClaim", "metadata": {"name": claim}, "spec": wanted},
+    ]

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.e2e.kubectl import Kubectl, Object
-from tests.e2e.scenario import Robot, eventually, manifest
+from tests.e2e.scenario import Robot, eventually, manifest, shared_claim
 
 STATE = {
     "keep": [
@@ -58,27 +58,9 @@ def keeper(kubectl: Kubectl, state: Object) -> Robot:
 @pytest.fixture
 def claim(kubectl: Kubectl, tmp_path: Path) -> Iterator[str]:
     """A PersistentVolumeClaim that every node of the local provider can mount: they all have this machine's files."""
-    folder, name = tmp_path / "kept", f"{kubectl.namespace}-kept"
-    folder.mkdir()
-    nodes = [node["metadata"]["name"] for node in kubectl.list("nodes")]
-    on = {"matchExpressions": [{"key": "kubernetes.io/hostname", "operator": "In", "values": nodes}]}
-    common = {"accessModes": ["ReadWriteMany"], "storageClassName": "", "volumeMode": "Filesystem"}
-    volume = common | {
-        "capacity": {"storage": "100Mi"},
-        "persistentVolumeReclaimPolicy": "Retain",
-        "claimRef": {"namespace": kubectl.namespace, "name": "kept"},
-        "local": {"path": str(folder)},
-        "nodeAffinity": {"required": {"nodeSelectorTerms": [on]}},
-    }
-    wanted = common | {"resources": {"requests": {"storage": "100Mi"}}, "volumeName": name}
-    kubectl.apply(
-        [
-            {"apiVersion": "v1", "kind": "PersistentVolume", "metadata": {"name": name}, "spec": volume},
-            {"apiVersion": "v1", "kind": "PersistentVolumeClaim", "metadata": {"name": "kept"}, "spec": wanted},
-        ]
-    )
+    kubectl.apply(shared_claim(kubectl, "kept", tmp_path / "kept"))
     yield "kept"
-    kubectl("delete", "persistentvolume", name, "--wait=false")
+    kubectl("delete", "persistentvolume", f"{kubectl.namespace}-kept", "--wait=false")
 
 
 def kept(robot: Robot) -> dict[str, Object]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -55,6 +56,20 @@ def whats(found: Judgement) -> list[str]:
 
 
 KILLED = fault("kill", 10.02)
+
+
+@pytest.mark.parametrize(
+    ("last", "api_back", "expected"),
+    [(34.0, None, []), (38.0, None, ["double drive", "fenced instance"]), (38.0, 37.0, [])],
+)
+def test_an_instance_on_a_node_that_was_cut_may_drive_until_its_network_has_caught_up(
+    last: float, api_back: float | None, expected: list[str]
+) -> None:
+    commands = log(drive("a", 1, 10), drive("b", 10.6, 50), drive("a", 30.01, last))
+    faults = [replace(fault("node-cut", 10.02, 30.0), told="n3")]
+    faults += [fault("api-flap", 28.0, api_back, robot=-1, number=2)] if api_back else []
+    found = judged(commands, *faults, recoveries=[recovery(10.5, 10.6)], nodes={"a": "n3", "b": "n2"})
+    assert sorted(set(whats(found))) == expected
 
 
 def test_a_clean_handover_of_a_killed_instance_has_no_violation() -> None:
