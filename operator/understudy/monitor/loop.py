@@ -259,7 +259,7 @@ class MonitorLoop:
         try:
             async with aclosing(self.act.deferral.until_allowed(progress)) as deferred:
                 async for _ in deferred:
-                    await self._continue_other_work()
+                    self._continue_other_work()
         except ENDS as error:
             return self.act.recoveries.abandoned(progress, error)
         policy = self._view.policy
@@ -300,18 +300,16 @@ class MonitorLoop:
         self.decide.conclude(outcome)
         self.act.conclude(outcome)
 
-    async def _continue_other_work(self) -> None:
+    def _continue_other_work(self) -> None:
         """Do the work that continues while a recovery is deferred."""
         if (policy := self._view.policy) is not None:
             self.act.follow_safety(policy)
         self._drain()
-        if self.decide.limits.pauses.on is None:
-            await self.act.restore_routing()
         self._housekeeping()
 
     @asynccontextmanager
     async def _ending_leaks(self) -> AsyncIterator[None]:
-        """Judge and end leaks also while a recovery is in progress: it may wait for long, for example for a pod of a shared pool."""
+        """Judge and end leaks, and restore an edited gate, also during a recovery: it may wait for long, for example for a pod."""
         ending = asyncio.create_task(self._end_leaks())
         try:
             yield
@@ -326,6 +324,7 @@ class MonitorLoop:
             self.judge.sole_driver.update(self._pods.of_workload(), now)
             if self.decide.limits.pauses.on is None:
                 self.act.leaks.respond_during(self._senses.current, now)
+                await self.act.restore_routing()
 
     def _housekeeping(self) -> None:
         """Do the work that is not urgent. Returns at once."""
