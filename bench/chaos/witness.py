@@ -119,7 +119,7 @@ class Witness:
         return list(self._pods.values())
 
     def nodes(self) -> Mapping[str, str]:
-        """Return the node of each pod that there was."""
+        """Return the node of each pod of the campaign."""
         return dict(self._nodes)
 
     def _living(self) -> list[PodSeen]:

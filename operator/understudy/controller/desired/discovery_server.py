@@ -75,7 +75,7 @@ def deployment(workload: str, images: Images, address: str) -> Object:
 
 
 def replacements(pods: Sequence[Object]) -> list[Write]:
-    """Return the writes by which a server that began beside another one is replaced once that one is gone.
+    """Return the writes that replace a server once another one is gone beside which it began.
 
     All servers of a workload have one GUID. A server on a lost node may live on and come back, and participants that hear it do not
     introduce themselves to its successor. The successor would not know, for example, all topics of the robot, as long as it lives.
