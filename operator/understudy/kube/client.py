@@ -69,6 +69,11 @@ class ApiError(Exception):
         return self.status == 429 or (self.status >= 500 and not self.malformed)
 
     @property
+    def waking(self) -> bool:
+        """Whether the server does not know a role yet that a binding names, as for a moment after its start."""
+        return self.status == 403 and "RBAC: " in self.message and self.message.endswith("not found")
+
+    @property
     def malformed(self) -> bool:
         """Whether the server refuses to apply an object that does not fit its schema.
 

@@ -176,3 +176,25 @@ def test_the_parts_of_a_pool_have_about_equal_sizes() -> None:
     counted = Counter(claims.part(f"spare-{number}") for number in range(1600))
     assert len(counted) == claims.PARTS
     assert 60 < min(counted.values()) <= max(counted.values()) < 140
+
+
+async def test_a_server_that_does_not_know_the_role_yet_is_asked_again() -> None:
+    answers: list[ApiError | str] = [
+        ApiError(
+            403,
+            "Forbidden",
+            'cannot delete resource "pods": RBAC: role.rbac.authorization.k8s.io "w-monitor" not found',
+        ),
+        "deleted",
+    ]
+
+    async def ask() -> str:
+        answer = answers.pop(0)
+        if isinstance(answer, ApiError):
+            raise answer
+        return answer
+
+    assert await claims.answered(ask) == "deleted"
+    answers.append(ApiError(403, "Forbidden", "only pods of its own workload"))
+    with pytest.raises(ApiError):
+        await claims.answered(ask)
