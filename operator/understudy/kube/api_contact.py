@@ -13,6 +13,9 @@ from contextlib import contextmanager
 SLOW = 0.25
 """Seconds without an answer after which a request under way counts as unanswered. An API server at rest answers in some milliseconds."""
 
+JUST_BACK = 15.0
+"""Seconds after an outage for which the API server may not have loaded all that it needs to know who may do what."""
+
 
 class ApiContact:
     """The requests of one client that the API server has not answered."""
@@ -24,6 +27,8 @@ class ApiContact:
         """Since when each request that ended has ended without an answer."""
         self._answered_at = -math.inf
         """When a request was last answered."""
+        self._back_at = -math.inf
+        """When a request was first answered after the last outage."""
 
     @contextmanager
     def asking(self) -> Iterator[None]:
@@ -42,7 +47,9 @@ class ApiContact:
                 self._failing_since = asked if self._failing_since is None else self._failing_since
             raise
         else:
-            self._failing_since, self._answered_at = None, loop.time()
+            self._answered_at = loop.time()
+            if self._failing_since is not None:
+                self._failing_since, self._back_at = None, self._answered_at
         finally:
             del self._asked[request]
 
@@ -56,3 +63,8 @@ class ApiContact:
         # A request that is under way while others are answered may be lost. What counts is the time without any answer.
         since = max(min(self._asked.values()), self._answered_at)
         return since if asyncio.get_running_loop().time() - since >= SLOW else None
+
+    @property
+    def just_back(self) -> bool:
+        """Whether the API server has answered for less than JUST_BACK seconds after an outage."""
+        return asyncio.get_running_loop().time() - self._back_at < JUST_BACK

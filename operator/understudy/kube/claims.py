@@ -59,7 +59,7 @@ async def claim(client: Client, pod: Object, *, workload: str, workload_uid: str
 
 def _unanswered(error: Exception) -> bool:
     """Whether it is unknown if a request was carried out, or the request is worth repeating."""
-    return not isinstance(error, ApiError) or error.passing or error.waking
+    return not isinstance(error, ApiError) or not error.final
 
 
 async def _reread(client: Client, pod: Object) -> Object:

@@ -42,13 +42,17 @@ _WEBHOOK = re.compile(r'failed calling webhook "([^"]+)"')
 
 
 class ApiError(Exception):
-    """The API server refused a request: ``status`` is the HTTP status, ``reason`` is Kubernetes' reason."""
+    """The API server refused a request: ``status`` is the HTTP status, ``reason`` is Kubernetes' reason.
 
-    def __init__(self, status: int, reason: str, message: str) -> None:
+    ``just_back`` says whether the server did not answer until a moment ago.
+    """
+
+    def __init__(self, status: int, reason: str, message: str, *, just_back: bool = False) -> None:
         super().__init__(f"{status} {reason}: {message}")
         self.status = status
         self.reason = reason
         self.message = message
+        self.just_back = just_back
 
     @property
     def not_found(self) -> bool:
@@ -70,8 +74,14 @@ class ApiError(Exception):
 
     @property
     def waking(self) -> bool:
-        """Whether the server does not know a role yet that a binding names, as for a moment after its start."""
-        return self.status == 403 and "RBAC: " in self.message and self.message.endswith("not found")
+        """Whether the server may not have loaded the accounts and roles yet, as for a moment after its start."""
+        unknown_role = "RBAC: " in self.message and self.message.endswith("not found")
+        return self.status in (401, 403) and (self.just_back or unknown_role)
+
+    @property
+    def final(self) -> bool:
+        """Whether the server would refuse the same request again, as long as nothing else changes."""
+        return not self.passing and not self.waking
 
     @property
     def malformed(self) -> bool:
@@ -352,7 +362,7 @@ class Client:
         if status == 401 and self._access.plugin is not None:
             self._access.plugin.reject()
         if status >= 400:
-            raise _error(status, text.decode(errors="replace"))
+            raise _error(status, text.decode(errors="replace"), self.contact.just_back)
         return text
 
     async def get(self, resource: Resource, namespace: str | None, name: str) -> Object:
@@ -527,9 +537,10 @@ def _selectors(labels: str | None, fields: str | None) -> dict[str, str]:
     return ({"labelSelector": labels} if labels else {}) | ({"fieldSelector": fields} if fields else {})
 
 
-def _error(status: int, text: str) -> ApiError:
+def _error(status: int, text: str, just_back: bool = False) -> ApiError:
     try:
         answer = json.loads(text)
-        return ApiError(status, answer.get("reason") or "Error", answer.get("message") or text)
+        reason, message = answer.get("reason") or "Error", answer.get("message") or text
     except (ValueError, AttributeError):
-        return ApiError(status, "Error", text[:500])
+        reason, message = "Error", text[:500]
+    return ApiError(status, reason, message, just_back=just_back)

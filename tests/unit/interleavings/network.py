@@ -225,7 +225,8 @@ class SimulatedClient(Client):
             status = network.choices.choice([429, 500, 503])
             network.later(network.delay(), answered, ApiError(status, "Busy", "try again"), process=process)
         elif fate == "denied":
-            network.later(network.delay(), answered, ApiError(403, "Forbidden", "no role allows it"), process=process)
+            denied = ApiError(403, "Forbidden", "no role allows it", just_back=self.contact.just_back)
+            network.later(network.delay(), answered, denied, process=process)
         elif fate == "late":
             network.later(self._seconds + network.choices.random() * 4, arrive)
         elif fate != "lost":

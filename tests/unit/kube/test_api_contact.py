@@ -88,3 +88,21 @@ async def test_a_cancelled_request_counts_only_if_it_waited_for_long(after: floa
     asking.cancel()
     await asyncio.gather(asking, return_exceptions=True)
     assert (contact.unanswered_since is not None) == unanswered
+
+
+async def test_the_api_server_is_just_back_for_a_while_after_an_outage(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(api_contact, "JUST_BACK", 0.05)
+    contact = ApiContact()
+
+    def answered() -> bool:
+        with contact.asking():
+            pass
+        return contact.just_back
+
+    assert not answered()
+    await fails(contact)
+    assert not contact.just_back
+    assert answered()
+    assert answered(), "one answer does not end it"
+    await asyncio.sleep(0.06)
+    assert not answered()

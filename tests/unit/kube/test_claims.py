@@ -178,13 +178,14 @@ def test_the_parts_of_a_pool_have_about_equal_sizes() -> None:
     assert 60 < min(counted.values()) <= max(counted.values()) < 140
 
 
-async def test_a_server_that_does_not_know_the_role_yet_is_asked_again() -> None:
+async def test_a_server_that_does_not_know_roles_or_accounts_yet_is_asked_again() -> None:
     answers: list[ApiError | str] = [
         ApiError(
             403,
             "Forbidden",
             'cannot delete resource "pods": RBAC: role.rbac.authorization.k8s.io "w-monitor" not found',
         ),
+        ApiError(401, "Unauthorized", "Unauthorized", just_back=True),
         "deleted",
     ]
 

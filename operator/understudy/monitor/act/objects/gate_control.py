@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import math
 import time
 from collections.abc import Sequence
 
@@ -18,7 +17,7 @@ from understudy.failover.interfaces import GateState, Instance, NoLongerNeeded, 
 from understudy.failover.pinned import PinnedPod
 from understudy.failover.progress import Progress, beside
 from understudy.kube import claims
-from understudy.kube.client import FAILURES, NO_ANSWER, ApiError, Client
+from understudy.kube.client import FAILURES, NO_ANSWER, ApiError, Client, Object
 from understudy.kube.gates.base import GateRecord, Proof
 from understudy.monitor.act.objects.pod_control import PodControl
 from understudy.monitor.crash_points import CrashPoints
@@ -40,9 +39,6 @@ HEARD_AGAIN = 0.05
 
 JUDGED_WITHIN = 0.2
 """Maximum seconds that a commit waits after the API server's return for a new judgement of the instance that it fences."""
-
-WAKING = 15.0
-"""Seconds after the API server's return for which a 401 or 403 is not final: it may not have loaded the roles yet."""
 
 
 class GateControl:
@@ -119,7 +115,7 @@ class GateControl:
         self._still_ours(previous, progress)
         if (instance := target) is not None:
             await claims.answered(lambda: self._fleet.label(instance))
-        record, retry, away, workload = previous, RETRY_FIRST, -math.inf, self._view.workload
+        record, retry, workload = previous, RETRY_FIRST, self._view.workload
         is_away = was_overtaken = False
         name, uid = (target.name, target.uid) if target else ("", "")
         self._crash_points.step("before commit")
@@ -145,8 +141,7 @@ class GateControl:
                     gate = await self._kind.write(self._client, self._view.namespace, workload, patch)
                 break
             except ApiError as error:
-                waking = error.status in (401, 403) and time.monotonic() - away < WAKING
-                if error.status < 500 and error.status not in (409, 429) and not waking:
+                if error.final and not error.conflict:
                     raise
                 _logger.warning("could not commit to the gate, trying again: %s", error)
                 if is_away:  # it answers again, and soon does what it is asked for
@@ -154,7 +149,7 @@ class GateControl:
                 at_once, was_overtaken = error.conflict and not was_overtaken, was_overtaken or error.conflict
             except NO_ANSWER as error:
                 _logger.warning("could not commit to the gate, trying again: the API server does not answer: %r", error)
-                is_away, away, at_once = True, time.monotonic(), False
+                is_away, at_once = True, False
             if not at_once:
                 await asyncio.sleep(retry)
                 retry = min(2 * retry, RETRY_MOST)
@@ -256,11 +251,10 @@ class GateControl:
             patch = self._kind.admission(
                 self._view.workload, over=record, admitted=name, admitted_uid=uid, let_through=let_through
             )
-            gate = await self._kind.write(self._client, self._view.namespace, self._view.workload, patch)
+            await self._write_once(patch)
         except FAILURES as error:
             _logger.warning("could not admit %s at the gate: %r", name or "no standby", error)
             return False
-        self._view.gates.put(gate)
         return True
 
     async def restore_routing(self) -> bool:
@@ -283,13 +277,11 @@ class GateControl:
             return False
         patch = {"metadata": {"resourceVersion": record.version}} | fields
         try:
-            async with asyncio.timeout(TRY_WITHIN):
-                gate = await self._kind.write(self._client, self._view.namespace, self._view.workload, patch)
+            await self._write_once(patch)
         except FAILURES as error:
             _logger.warning("could not restore whom the gate lets through: %r", error)
             self._refused = (revision, time.monotonic() + WRITE_AGAIN)
             return False
-        self._view.gates.put(gate)
         words = f"the gate did not let through {record.active or 'nobody'}, as its record says: somebody had edited it"
         _logger.warning("restored the gate: %s", words)
         self._notices.event("Warning", "GateRestored", words)
@@ -316,12 +308,11 @@ class GateControl:
             return
         patch = self._kind.ending(over=over, recovery=ended(found).model_dump_json())
         try:
-            gate = await self._kind.write(self._client, self._view.namespace, self._view.workload, patch)
+            await self._write_once(patch)
         except FAILURES as error:
             _logger.warning("could not mark recovery %s as abandoned at the gate: %r", found.id, error)
             return
         _logger.info("marked recovery %s as abandoned at the gate", found.id)
-        self._view.gates.put(gate)
 
     async def overtake(self, over: GateRecord, abandoned: AbandonedRecovery) -> bool:
         """Prevent that a commit of an abandoned recovery is carried out later, if it was sent over this record.
@@ -332,12 +323,17 @@ class GateControl:
         """
         patch = self._kind.overtaking(over=over, recovery=abandoned.id)
         try:
-            gate = await self._kind.write(self._client, self._view.namespace, self._view.workload, patch)
+            await self._write_once(patch)
         except FAILURES as error:
             _logger.warning("could not overtake the commit of recovery %s: %r", abandoned.id, error)
             return False
-        self._view.gates.put(gate)
         return True
+
+    async def _write_once(self, patch: Object) -> None:
+        """Write to the gate, and note the gate that the API server answers with. Raises one of FAILURES."""
+        async with asyncio.timeout(TRY_WITHIN):
+            gate = await self._kind.write(self._client, self._view.namespace, self._view.workload, patch)
+        self._view.gates.put(gate)
 
     async def _reread(self, previous: GateRecord, uid: str, recovery: str) -> GateRecord | None:
         """Read the gate after a refused or unanswered commit, which may have been carried out. Returns None if the gate
