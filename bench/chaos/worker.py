@@ -61,7 +61,12 @@ class Worker(Node):
 
     def _execute(self, handle):  # type: ignore[no-untyped-def]
         for number in range(handle.request.order):
-            handle.publish_feedback(Fibonacci.Feedback(sequence=[number]))
+            try:
+                handle.publish_feedback(Fibonacci.Feedback(sequence=[number]))
+            except RuntimeError:
+                if rclpy.ok():  # otherwise the pod is being deleted
+                    raise
+                return Fibonacci.Result()
             time.sleep(STEP)
         handle.succeed()
         self._finished.append(bytes(handle.goal_id.uuid).hex())

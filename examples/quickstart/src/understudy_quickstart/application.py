@@ -13,7 +13,6 @@ import socket
 import time
 
 import numpy as np
-import rclpy
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
@@ -152,10 +151,8 @@ def _age() -> float:
 
 def main() -> None:
     """Run the application until it is asked to stop; with DRIVE_MANAGED it waits to be configured and activated."""
-    rclpy.init()
     kind = ManagedDrive if os.environ.get("DRIVE_MANAGED") else Drive
-    drive = kind(os.environ.get("HOSTNAME") or socket.gethostname())
-    run(drive)
+    run(lambda: kind(os.environ.get("HOSTNAME") or socket.gethostname()))
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ import os
 import socket
 import time
 
-import rclpy
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry, Path
 from rclpy.node import Node
@@ -66,8 +65,7 @@ class Control(Node):
 
 def main() -> None:
     """Run the node until it is asked to stop."""
-    rclpy.init()
-    run(Control(os.environ.get("HOSTNAME") or socket.gethostname()))
+    run(lambda: Control(os.environ.get("HOSTNAME") or socket.gethostname()))
 
 
 if __name__ == "__main__":

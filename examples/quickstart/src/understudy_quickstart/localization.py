@@ -5,7 +5,6 @@ What the robot measures is good enough here to be taken for the pose; a real loc
 
 from __future__ import annotations
 
-import rclpy
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
@@ -31,8 +30,7 @@ class Localization(Node):
 
 def main() -> None:
     """Run the node until it is asked to stop."""
-    rclpy.init()
-    run(Localization())
+    run(Localization)
 
 
 if __name__ == "__main__":

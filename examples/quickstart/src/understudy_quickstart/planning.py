@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 
-import rclpy
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
@@ -66,8 +65,7 @@ class Planning(LifecycleNode):
 
 def main() -> None:
     """Run the node until it is asked to stop."""
-    rclpy.init()
-    run(Planning())
+    run(Planning)
 
 
 if __name__ == "__main__":

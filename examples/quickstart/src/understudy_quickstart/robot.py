@@ -12,7 +12,6 @@ import os
 import time
 
 import numpy as np
-import rclpy
 from geometry_msgs.msg import Quaternion, TwistStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
 from rclpy.node import Node
@@ -154,9 +153,8 @@ class Robot(Node):
 
 def main() -> None:
     """Run the robot until it is asked to stop. ``ROBOT_LOG`` names the journal's file."""
-    rclpy.init()
-    robot = Robot(Journal(os.environ.get("ROBOT_LOG")))
-    run(robot)
+    journal = Journal(os.environ.get("ROBOT_LOG"))
+    run(lambda: Robot(journal))
 
 
 if __name__ == "__main__":

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
@@ -10,14 +12,18 @@ FRESH = 0.3
 """Seconds after which what the node before said is not gone by any more, in examples/dependent."""
 
 
-def run(node: Node) -> None:
-    """Run a node until it is asked to stop."""
+def run(make: Callable[[], Node]) -> None:
+    """Make a node and run it until it is asked to stop, which may be while it is made."""
+    rclpy.init()
+    node = None
     try:
+        node = make()
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except RuntimeError:
-        if rclpy.ok():  # otherwise a signal ended ROS in the middle of a callback
+        if rclpy.ok():  # otherwise a signal ended ROS while the node was made, or in the middle of a callback
             raise
     finally:
-        node.destroy_node()
+        if node is not None:
+            node.destroy_node()
