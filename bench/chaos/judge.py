@@ -23,6 +23,9 @@ ENFORCEMENT = 0.05
 DELIVERY = 0.05
 """Seconds that a busy machine may take to expire a command beyond its lifespan, which is one period, or to deliver it."""
 
+STALL = 0.5
+"""Longest time in seconds for which a process may get no processor on a busy machine. Nothing else explains a command that is older."""
+
 LAG = 0.5
 """Largest delay of the record of a commit, in seconds: the new instance's commands may arrive that much earlier."""
 
@@ -151,6 +154,8 @@ class Judgement:
     """Commands of instances that had never been in control."""
     stale: list[float] = field(default_factory=list)
     """Seconds before the switch at which commands were sent that arrived after it, beyond a period."""
+    stalled: list[float] = field(default_factory=list)
+    """The same for the last command of a process that stalled then, so that it could not expire the command."""
     gaps: dict[str, list[float]] = field(default_factory=dict)
     """Seconds without commands by strategy, without what faults explain."""
     lost_steps: list[int] = field(default_factory=list)
@@ -205,7 +210,11 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
             last = max(late for _, late in group)
             text = f"{len(group)} commands of {first.source}, up to {last:.3f} s after it was fenced"
             violation("fenced instance", first.received, text)
-    for pod, switch, ages in stale(seen.commands, seen.commits, period):
+    routed = {recovery.epoch: recovery.moments.get("routed", math.inf) for recovery in seen.recoveries}
+    for pod, switch, ages, stalled in stale(seen.commands, seen.commits, routed, period):
+        found.stalled += stalled
+        if not ages:
+            continue
         found.stale += ages
         text = f"{len(ages)} commands of {pod}, up to {max(ages):.3f} s older than its switch, arrived after it"
         violation("stale command", switch, text)
@@ -323,20 +332,28 @@ def _runs(found: Iterable[tuple[Command, float]]) -> Iterator[list[tuple[Command
 
 
 def stale(
-    commands: Sequence[Command], commits: Sequence[Commit], period: float
-) -> Iterator[tuple[str, float, list[float]]]:
-    """Yield for each switch the instance, the moment, and how much older than the switch its commands were that arrived after it.
+    commands: Sequence[Command], commits: Sequence[Commit], routed: Mapping[int, float], period: float
+) -> Iterator[tuple[str, float, list[float], list[float]]]:
+    """Yield for each switch the instance, the moment, and how much older than the switch its commands were that arrived after it; those
+    of a process that stalled in between apart.
 
-    The switch is when the commit was seen, or the robot's first command from the new instance if that was earlier.
+    The switch is when the commit was seen, when its recovery (by the epoch) saw the gate open, or when the robot received the new
+    instance's first command, whichever was first. A process that sent nothing between a command and its arrival stalled.
     """
     for before, after in pairwise(commits):
         for pod in set(after.let_through) - set(before.let_through):
             arrived = [c for c in commands if c.source == pod and c.received >= after.earliest]
             if not arrived:
                 continue
-            switch = min(after.seen, arrived[0].received)
-            if ages := [switch - c.sent for c in arrived if switch - c.sent > period + DELIVERY]:
-                yield pod, switch, ages
+            switch = min(after.seen, arrived[0].received, routed.get(after.epoch, math.inf))
+            old = [c for c in arrived if switch - c.sent > period + DELIVERY]
+            sent = sorted(c.sent for c in commands if c.source == pod)
+            stalled = [
+                c for c in old if c.received - c.sent < STALL and not any(c.sent < at <= c.received for at in sent)
+            ]
+            if old:
+                ages = [[switch - c.sent for c in part] for part in ([c for c in old if c not in stalled], stalled)]
+                yield pod, switch, ages[0], ages[1]
 
 
 def gaps(seen: Seen, injected: Sequence[Injected]) -> Iterator[tuple[float, float, str, float]]:
@@ -384,9 +401,11 @@ def covered(windows: Iterable[tuple[float, float]], begin: float, end: float) ->
 def lost_steps(seen: Seen) -> Iterator[tuple[float, int, tuple[str, str]]]:
     """Yield when the application's steps went back, by how many, and from which instance to which.
 
-    Commands count in the order in which they were sent: one that arrives late is stale, and no state is lost by it.
+    Commands count in the order in which they were sent: one that arrives late is stale, and no state is lost by it. Those of a fenced
+    instance do not count: what it did since nobody could keep, as on a node that was cut off.
     """
-    counted = sorted((c for c in seen.commands if c.sequence in seen.steps), key=lambda c: c.sent)
+    fenced = {command.sequence for command, _ in uncontrolled(seen.commands, seen.commits)}
+    counted = sorted((c for c in seen.commands if c.sequence in seen.steps.keys() - fenced), key=lambda c: c.sent)
     for a, b in pairwise(counted):
         if (back := seen.steps[a.sequence] - seen.steps[b.sequence]) > 0:
             yield b.received, back, (a.source, b.source)

@@ -123,8 +123,10 @@ class FailureDetector:
             # The instance is older than this monitor: the agent's report counts, not the startup grace.
             status = self._agents.status(active)
             if status is not None and status.ready_at is not None and not status.ready:
-                # It may have been heard before ``since``, as before a recovery that was given up.
-                onset = max(status.ready_at, self._observer.last_well(active.name) or 0.0)
+                # The agent heard the outputs while no monitor did. This one may have heard them before ``since``, as before a recovery
+                # that was given up.
+                signs = [status.ready_at, self._observer.last_well(active.name), *(o.last for o in status.outputs.values())]
+                onset = min(now, max(sign for sign in signs if sign is not None))
                 return Verdict("Failed", status.reason, verdict.leaf, onset)
         return verdict
 

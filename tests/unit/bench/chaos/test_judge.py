@@ -144,6 +144,22 @@ def test_commands_that_were_sent_before_the_switch_are_stale() -> None:
     assert whats(found) == ["stale command"]
 
 
+def test_commands_that_a_busy_robot_received_late_are_not_stale_if_the_gate_was_open_when_they_were_sent() -> None:
+    burst = [Command(10.9, "b", 0, 10.9 - age, *[0.0] * 6) for age in (0.28, 0.2, 0.03)]
+    commits = [Commit(0.0, 1, ("a",)), Commit(11.2, 2, ("b",))]
+    commands = log(drive("a", 1, 10), burst, drive("b", 10.95, 20))
+    assert judged(commands, KILLED, commits=commits, recoveries=[recovery(10.5, 10.6)]).stale == []
+    assert judged(commands, KILLED, commits=commits).stale == [pytest.approx(0.28), pytest.approx(0.2)]
+
+
+@pytest.mark.parametrize(("stall", "expected"), [(0.45, []), (0.7, ["stale command"])])
+def test_the_last_command_before_a_stall_of_its_process_is_counted_apart(stall: float, expected: list[str]) -> None:
+    late = [Command(10.9, "b", 0, 10.9 - stall, *[0.0] * 6)]
+    found = judged(log(drive("a", 1, 10), late, drive("b", 10.95, 20)), KILLED)
+    assert whats(found) == expected
+    assert [*found.stalled, *found.stale] == [pytest.approx(stall - 0.3)]
+
+
 def test_a_gap_may_take_the_time_of_the_strategies_that_were_tried() -> None:
     commands = log(drive("a", 1, 10), drive("b", 15, 20))
     commits = [Commit(0.0, 1, ("a",)), Commit(15.0, 2, ("b",))]
@@ -200,6 +216,13 @@ def test_steps_that_go_back_by_more_than_the_age_of_kept_state_are_lost() -> Non
         found = judged(commands, KILLED, steps=steps)
         assert found.lost_steps == [back - 1]
         assert whats(found) == expected
+
+
+def test_what_an_instance_did_after_it_was_fenced_is_no_lost_state() -> None:
+    returned = [Command(15.0, "a", 0, 15.0, *[0.0] * 6)]
+    commands = log(drive("a", 1, 10), drive("b", 10.62, 14.9), returned, drive("b", 15.01, 20))
+    steps = {c.sequence: round(c.sent / PERIOD) + (900 if c.received == 15.0 else 0) for c in commands}
+    assert judged(commands, KILLED, steps=steps).lost_steps == []
 
 
 def test_a_command_that_arrives_late_loses_no_steps() -> None:

@@ -11,7 +11,7 @@ from tests.support.clock import set_clock
 from tests.unit.monitor.cluster_objects import ClusterObjects
 from tests.unit.monitor.senses import GivenObserver, GivenSenses
 from understudy.api.kinds.failure_policy import Monitoring
-from understudy.api.protocol.agent_messages import AgentStatus
+from understudy.api.protocol.agent_messages import AgentStatus, OutputCount
 from understudy.failover.interfaces import GateState, Instance
 from understudy.monitor.judge.failure_detection import KNOWN_GRACE, FailureDetector
 from understudy.trees.core.health_tree import HealthTree, Verdict
@@ -205,14 +205,26 @@ def test_an_instance_that_another_monitor_lets_through_has_the_whole_startup_gra
     assert judging.verdict(successor, start + 29.9).state == "Starting"
 
 
-@pytest.mark.parametrize(("last_output", "onset"), [(None, 900.0), (950.0, 950.0), (850.0, 900.0)])
+@pytest.mark.parametrize(
+    ("last_output", "in_the_pod", "onset"),
+    [
+        (None, None, 900.0),
+        (950.0, None, 950.0),
+        (850.0, None, 900.0),
+        (None, 960.0, 960.0),
+        (970.0, 960.0, 970.0),
+        (None, 1005.0, 1000.0),
+    ],
+)
 def test_a_failure_that_an_agent_reports_begins_with_the_last_sign_of_health(
-    last_output: float | None, onset: float
+    last_output: float | None, in_the_pod: float | None, onset: float
 ) -> None:
-    """Else state is restored from before the instance drove: after a recovery that was given up, only later messages count."""
+    """Else state is restored from before the instance drove: after a recovery that was given up, only later messages count, and a new
+    monitor has heard none."""
     now = time.time()
     shift = now - 1000.0
-    status = AgentStatus("Running", ready_at=900.0 + shift, reason="its outputs are not healthy")
+    outputs = {"/cmd_vel": OutputCount(7, in_the_pod + shift if in_the_pod is not None else None)}
+    status = AgentStatus("Running", ready_at=900.0 + shift, reason="its outputs are not healthy", outputs=outputs)
     judging = detector(ACTIVE, last_output=last_output + shift if last_output is not None else None, status=status)
     judging.restart(now - 2 * KNOWN_GRACE)
     found = judging.verdict(ACTIVE, now).onset
