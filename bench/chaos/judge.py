@@ -45,6 +45,9 @@ CATCHES_UP = 5.0
 """Seconds within which a node that was cut off applies the policies that it has missed, if the API server answers. Until then its network
 lets an instance through that was fenced meanwhile, which no product on top of network policies can prevent."""
 
+LEAK_ENDS = 6.0
+"""Seconds after the last command of a leaking instance until the gate is open again that was closed for it: 5 of silence, and a margin."""
+
 API = {"api-stop", "api-slow", "api-flap"}
 """The kinds of faults during which nobody learns of changes."""
 
@@ -186,19 +189,24 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
         found.repaired += [max(0.0, end - max(moments))] if moments else []
         return bool(moments)
 
-    def is_late_network(end: float, *pods: str) -> bool:
+    leaked: list[tuple[float, float]] = []
+
+    def is_late_network(begin: float, end: float, *pods: str) -> bool:
         behind = [moment for pod in pods if (moment := returned(seen.nodes.get(pod, ""), end, injected)) is not None]
-        found.caught_up += [max(0.0, end - max(behind))] if behind else []
+        if behind:
+            found.caught_up.append(max(0.0, end - max(behind)))
+            leaked.append((begin, end + LEAK_ENDS))
         return bool(behind)
 
     for begin, end, pods in double_drives(seen.commands, seen.commits if seen.reflex else ()):
-        if undone(begin, end) or is_late_network(end, *pods):
+        if undone(begin, end) or is_late_network(begin, end, *pods):
             continue
         found.double_drives.append(end - begin)
         violation("double drive", end, f"{' and '.join(pods)} drove together for {end - begin:.3f} s", begin)
     for group in _runs(uncontrolled(seen.commands, seen.commits)):
         first, after = group[0]
-        if undone(first.received, group[-1][0].received) or is_late_network(group[-1][0].received, first.source):
+        last_of_group = group[-1][0].received
+        if undone(first.received, last_of_group) or is_late_network(first.received, last_of_group, first.source):
             continue
         if math.isinf(after):
             found.strangers += len(group)
@@ -218,7 +226,7 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
         found.stale += ages
         text = f"{len(ages)} commands of {pod}, up to {max(ages):.3f} s older than its switch, arrived after it"
         violation("stale command", switch, text)
-    for begin, length, strategy, allowed in gaps(seen, theirs):
+    for begin, length, strategy, allowed in gaps(seen, theirs, leaked):
         found.gaps.setdefault(strategy or "no recovery", []).append(length)
         if length > allowed:
             text = f"{length:.2f} s without a command ({strategy or 'no recovery'}; {allowed:.2f} s are allowed)"
@@ -356,15 +364,20 @@ def stale(
                 yield pod, switch, ages[0], ages[1]
 
 
-def gaps(seen: Seen, injected: Sequence[Injected]) -> Iterator[tuple[float, float, str, float]]:
+def gaps(
+    seen: Seen, injected: Sequence[Injected], leaked: Sequence[tuple[float, float]] = ()
+) -> Iterator[tuple[float, float, str, float]]:
     """Yield each silence that is longer than the timeout: its begin, its length without the time that faults explain, the strategy that
-    ended it (empty for none), and the length that this strategy may take."""
+    ended it (empty for none), and the length that this strategy may take.
+
+    ``leaked`` are the times in which the gate may have been closed because the network let a fenced instance through.
+    """
     for a, b in pairwise(seen.commands):
         if b.received - a.received <= seen.timeout:
             continue
         found = _recoveries(seen, a.received, b.received)
         waits = [one.waiting for one in injected if BY_NAME[one.fault.kind].delays]
-        explained = covered(waits, a.received, b.received)
+        explained = covered([*waits, *leaked], a.received, b.received)
         allowed = seen.timeout + SWITCH + sum(_allowed(recovery) for recovery in found)
         strategy = max(found, key=_allowed).strategy if found else ""
         yield a.received, b.received - a.received - explained, strategy, allowed

@@ -72,6 +72,17 @@ def test_an_instance_on_a_node_that_was_cut_may_drive_until_its_network_has_caug
     assert sorted(set(whats(found))) == expected
 
 
+def test_the_gate_may_be_closed_for_a_while_if_the_network_of_a_node_that_returned_lets_a_fenced_instance_through() -> None:
+    cut = replace(fault("node-cut", 10.02, 45.0), told="n3")
+
+    def found(leak: list[Command]) -> list[str]:
+        commands = log(drive("a", 1, 10), drive("b", 10.6, 46.2), leak, drive("b", 52.0, 60))
+        return whats(judged(commands, cut, recoveries=[recovery(10.5, 10.6)], nodes={"a": "n3", "b": "n2"}))
+
+    assert found(drive("a", 46.01, 46.1)) == []
+    assert found([]) == ["gap"]
+
+
 def test_a_clean_handover_of_a_killed_instance_has_no_violation() -> None:
     found = judged(log(drive("a", 1, 10), drive("b", 10.61, 20)), KILLED, recoveries=[recovery(10.5, 10.6)])
     assert whats(found) == []
