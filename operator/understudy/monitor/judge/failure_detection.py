@@ -22,6 +22,9 @@ KNOWN_GRACE = 3.0
 """Seconds that a new monitor waits for the first samples of an instance that was healthy before, according to its
 agent."""
 
+HEARD_GRACE = 1.0
+"""The same for an instance that this monitor has heard before, for example before somebody deleted the gate: discovery is done."""
+
 DEAD_AFTER = 0.1
 """Seconds without an output after which a pod without an object counts as dead."""
 
@@ -119,13 +122,14 @@ class FailureDetector:
         since = self.since
         self._expect_samples(now, since)
         verdict = self._observer.verdict(now=now, since=since)
-        if verdict.state == "Starting" and now - since > KNOWN_GRACE:
-            # The instance is older than this monitor: the agent's report counts, not the startup grace.
+        last_well = self._observer.last_well(active.name)
+        if verdict.state == "Starting" and now - since > (KNOWN_GRACE if last_well is None else HEARD_GRACE):
+            # The instance is older than this monitor or its own time in control: the agent's report counts, not the startup grace.
             status = self._agents.status(active)
             if status is not None and status.ready_at is not None and not status.ready:
                 # The agent heard the outputs while no monitor did. This one may have heard them before ``since``, as before a recovery
                 # that was given up.
-                signs = [status.ready_at, self._observer.last_well(active.name), *(o.last for o in status.outputs.values())]
+                signs = [status.ready_at, last_well, *(o.last for o in status.outputs.values())]
                 onset = min(now, max(sign for sign in signs if sign is not None))
                 return Verdict("Failed", status.reason, verdict.leaf, onset)
         return verdict

@@ -230,3 +230,17 @@ def test_a_failure_that_an_agent_reports_begins_with_the_last_sign_of_health(
     found = judging.verdict(ACTIVE, now).onset
     assert found is not None
     assert found - shift == pytest.approx(onset, abs=0.01)
+
+
+@pytest.mark.parametrize(("was_heard", "within"), [(False, 3.0), (True, 1.0)])
+def test_an_instance_that_its_agent_reports_has_less_time_to_be_heard_if_it_was_heard_before(
+    was_heard: bool, within: float
+) -> None:
+    """As after somebody deleted the gate: the instance may have failed while it was missing."""
+    now = time.time()
+    status = AgentStatus("Running", ready_at=now - 60, reason="no /cmd_vel for 1 s")
+    judging = detector(ACTIVE, last_output=now - 2.0 if was_heard else None, status=status)
+    judging.watch()
+    start = judging.since
+    assert judging.verdict(ACTIVE, start + within - 0.1).state == "Starting"
+    assert judging.verdict(ACTIVE, start + within + 0.1).state == "Failed"
