@@ -147,6 +147,7 @@ def _judge(
         finished=journal.finished,
         goals=_ended(robot.goals()),
         nodes=witness.nodes(),
+        monitors=witness.monitors(robot.workload),
     )
     dump(
         folder / f"{robot.name}.json",
@@ -156,6 +157,7 @@ def _judge(
         steps=seen.steps,
         finished=seen.finished,
         goals=seen.goals,
+        monitors=seen.monitors,
     )
     return judge(seen, injected)
 

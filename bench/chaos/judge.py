@@ -48,6 +48,12 @@ lets an instance through that was fenced meanwhile, which no product on top of n
 LEAK_ENDS = 6.0
 """Seconds after the last command of a leaking instance until the gate is open again that was closed for it: 5 of silence, and a margin."""
 
+NODE_LOST = {"node-power", "node-cut"}
+"""The kinds of faults that take everything on a node."""
+
+LISTENS = 6.0
+"""Seconds that a new monitor may take to hear the instances: DDS announces them every 3 s, and a busy machine is late."""
+
 API = {"api-stop", "api-slow", "api-flap"}
 """The kinds of faults during which nobody learns of changes."""
 
@@ -129,6 +135,8 @@ class Seen:
     """The result of each accepted goal at its client; empty if the client still waits."""
     nodes: Mapping[str, str] = field(default_factory=dict)
     """The node of each instance."""
+    monitors: Sequence[tuple[float, str]] = ()
+    """When a monitor became ready, and on which node, in order."""
 
 
 @dataclass(frozen=True)
@@ -167,6 +175,8 @@ class Judgement:
     """Seconds from the return of a node that was cut off to the last command of a fenced instance on it, if that was soon enough."""
     repaired: list[float] = field(default_factory=list)
     """Seconds from tampering to the last command that it let through, if that was soon enough."""
+    unwatched: list[float] = field(default_factory=list)
+    """Seconds without a monitor after the loss of its node."""
     unexplained: int = 0
     """Failovers after a silence for which there was no fault: the machine was too busy."""
 
@@ -226,6 +236,7 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
         found.stale += ages
         text = f"{len(ages)} commands of {pod}, up to {max(ages):.3f} s older than its switch, arrived after it"
         violation("stale command", switch, text)
+    found.unwatched = [end - LISTENS - begin for begin, end in unwatched(seen, theirs) if not math.isinf(end)]
     for begin, length, strategy, allowed in gaps(seen, theirs, leaked):
         found.gaps.setdefault(strategy or "no recovery", []).append(length)
         if length > allowed:
@@ -377,10 +388,19 @@ def gaps(
             continue
         found = _recoveries(seen, a.received, b.received)
         waits = [one.waiting for one in injected if BY_NAME[one.fault.kind].delays]
-        explained = covered([*waits, *leaked], a.received, b.received)
+        explained = covered([*waits, *leaked, *unwatched(seen, injected)], a.received, b.received)
         allowed = seen.timeout + SWITCH + sum(_allowed(recovery) for recovery in found)
         strategy = max(found, key=_allowed).strategy if found else ""
         yield a.received, b.received - a.received - explained, strategy, allowed
+
+
+def unwatched(seen: Seen, injected: Sequence[Injected]) -> Iterator[tuple[float, float]]:
+    """Yield the times in which a robot had no monitor, because that was on a node that was lost."""
+    for lost in injected:
+        before = [node for ready, node in seen.monitors if ready <= lost.begun]
+        if lost.fault.kind in NODE_LOST and before and before[-1] == lost.told:
+            back = next((ready for ready, _ in seen.monitors if ready > lost.begun), math.inf)
+            yield lost.begun, back + LISTENS
 
 
 def _recoveries(seen: Seen, begin: float, end: float) -> list[Recovered]:

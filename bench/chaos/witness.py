@@ -45,7 +45,8 @@ class PodSeen:
     uid: str
     node: str
     labels: Mapping[str, str]
-    ready: bool
+    ready_since: float
+    """Unix seconds; 0 if it is not ready."""
     owner: str
     address: str
     deleted: float
@@ -82,6 +83,7 @@ class Witness:
         self._recoveries: dict[tuple[str, int], Object] = {}
         self._commits: dict[str, list[Commit]] = {names.gate(workload): [] for workload in workloads}
         self._nodes: dict[str, str] = {}
+        self._monitors: dict[str, dict[float, str]] = {workload: {} for workload in workloads}
         self._read: dict[Path, int] = {}
         self.tracebacks: list[Traceback] = []
         self._ended = threading.Event()
@@ -121,6 +123,10 @@ class Witness:
     def nodes(self) -> Mapping[str, str]:
         """Return the node of each pod of the campaign."""
         return dict(self._nodes)
+
+    def monitors(self, workload: str) -> list[tuple[float, str]]:
+        """Return when a monitor of a workload became ready, and on which node, in order."""
+        return sorted(self._monitors[workload].items())
 
     def _living(self) -> list[PodSeen]:
         return [pod for pod in self._pods.values() if not pod.deleted and pod.node]
@@ -183,6 +189,8 @@ class Witness:
                 self._recoveries[name, int(entry["number"])] = entry
         self._pods = {pod["metadata"]["name"]: _pod(pod) for pod in self._kubectl.list("pods")}
         self._nodes |= {pod.name: pod.node for pod in self._pods.values() if pod.node}
+        for workload, monitors in self._monitors.items():
+            monitors |= {pod.ready_since: pod.node for pod in self.parts(workload, "monitor") if pod.ready_since}
         system = self._kubectl.in_namespace(SYSTEM).list("pods", "app.kubernetes.io/name=understudy")
         self._operators = [_pod(pod) for pod in system]
 
@@ -246,12 +254,13 @@ def tracebacks(text: str, source: str, at: float) -> Iterator[Traceback]:
 def _pod(item: Object) -> PodSeen:
     metadata, status = item["metadata"], item.get("status") or {}
     owners: Any = metadata.get("ownerReferences") or [{}]
+    ready = [c for c in status.get("conditions") or [] if c["type"] == "Ready"]
     return PodSeen(
         metadata["name"],
         metadata["uid"],
         item["spec"].get("nodeName", ""),
         metadata.get("labels") or {},
-        any((c["type"], c["status"]) == ("Ready", "True") for c in status.get("conditions") or []),
+        max((unix(c["lastTransitionTime"]) for c in ready if c["status"] == "True"), default=0.0),
         owners[0].get("name", ""),
         status.get("podIP", ""),
         unix(metadata["deletionTimestamp"]) if metadata.get("deletionTimestamp") else 0.0,

@@ -171,6 +171,21 @@ def test_the_last_command_before_a_stall_of_its_process_is_counted_apart(stall: 
     assert [*found.stalled, *found.stale] == [pytest.approx(stall - 0.3)]
 
 
+def test_a_robot_whose_monitor_was_on_a_lost_node_waits_until_the_next_one_has_begun() -> None:
+    commits = [Commit(0.0, 1, ("a",)), Commit(45.0, 2, ("b",))]
+    commands = log(drive("a", 1, 10), drive("b", 45.05, 60))
+    lost = replace(fault("node-power", 10.0, 20.0), told="n3")
+    switched = recovery(44.5, 45.0)
+
+    def found(*monitors: tuple[float, str]) -> Judgement:
+        return judged(commands, lost, commits=commits, recoveries=[switched], monitors=monitors)
+
+    elsewhere, same_node = ((0.5, "n2"), (39.5, "n2")), ((0.5, "n3"), (39.5, "n2"))
+    assert whats(found(*elsewhere)) == ["gap"]
+    assert whats(found(*same_node)) == []
+    assert found(*same_node).unwatched == [pytest.approx(29.5)]
+
+
 def test_a_gap_may_take_the_time_of_the_strategies_that_were_tried() -> None:
     commands = log(drive("a", 1, 10), drive("b", 15, 20))
     commits = [Commit(0.0, 1, ("a",)), Commit(15.0, 2, ("b",))]
