@@ -64,7 +64,9 @@ def summarize(
     if stale:
         report.figure("their age at the switch", [1000 * age for age in stale], unit="ms")
     if stalled := [age for judgement in judgements for age in judgement.stalled]:
-        report.figure("age at the switch of commands of processes that stalled then", [1000 * a for a in stalled], unit="ms")
+        report.figure(
+            "age at the switch of commands of processes that stalled then", [1000 * a for a in stalled], unit="ms"
+        )
     if repaired := [seconds for judgement in judgements for seconds in judgement.repaired]:
         report.figure("time from tampering to the last command that it let through", repaired, unit="s")
     if caught_up := [seconds for judgement in judgements for seconds in judgement.caught_up]:

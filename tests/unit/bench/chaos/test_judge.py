@@ -72,7 +72,9 @@ def test_an_instance_on_a_node_that_was_cut_may_drive_until_its_network_has_caug
     assert sorted(set(whats(found))) == expected
 
 
-def test_the_gate_may_be_closed_for_a_while_if_the_network_of_a_node_that_returned_lets_a_fenced_instance_through() -> None:
+def test_the_gate_may_be_closed_for_a_while_if_the_network_of_a_node_that_returned_lets_a_fenced_instance_through() -> (
+    None
+):
     cut = replace(fault("node-cut", 10.02, 45.0), told="n3")
 
     def found(leak: list[Command]) -> list[str]:
