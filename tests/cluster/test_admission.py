@@ -82,11 +82,16 @@ def _may_change_pods(cluster: Cluster, namespace: str, user: str) -> None:
 @pytest.fixture
 def statefulset_monitor(cluster: Cluster, monitor: str, namespace: str) -> str:
     """The same where the workload refers to StatefulSet nav2."""
-    for kind, item in monitor_deployment.access(MINE, source=("StatefulSet", "nav2"), policy="policy", pools=[]):
-        if kind == "Role":
-            path = cluster.path(item["apiVersion"], kind, namespace, item["metadata"]["name"])
-            cluster.request("PUT", path, body=item)
+    _refer(cluster, namespace, "StatefulSet", "nav2")
     return monitor
+
+
+def _refer(cluster: Cluster, namespace: str, kind: str, name: str) -> None:
+    """The workload's pods are those of another controller now."""
+    for part, item in monitor_deployment.access(MINE, source=(kind, name), policy="policy", pools=[]):
+        if part == "Role":
+            path = cluster.path(item["apiVersion"], part, namespace, item["metadata"]["name"])
+            cluster.request("PUT", path, body=item)
 
 
 def _pod(cluster: Cluster, namespace: str, name: str, labels: dict[str, str]) -> Object:
@@ -156,7 +161,8 @@ def test_a_monitor_does_not_delete_the_pod_of_another(cluster: Cluster, namespac
     pod = _instance(cluster, namespace, OTHER)
     message = _refusal(lambda: cluster.delete(pod, user=monitor))
     assert (
-        f"the monitor of RobotWorkload {namespace}/{MINE} may delete only pods labelled understudy.dev/workload={MINE}; "
+        f"the monitor of RobotWorkload {namespace}/{MINE} may delete only pods labelled understudy.dev/workload={MINE} "
+        f"and pods of that workload that lost the label; "
         f"pod {namespace}/instance has {OTHER}"
     ) in message
     assert cluster.find("v1", "Pod", "instance", namespace) is not None
@@ -268,24 +274,94 @@ def test_a_monitor_does_not_label_a_pod_without_a_controller(cluster: Cluster, n
     )
 
 
-def test_a_monitor_labels_pods_of_the_statefulset_it_refers_to(
-    cluster: Cluster, namespace: str, statefulset_monitor: str
-) -> None:
-    pod = _controlled(cluster, namespace, "StatefulSet", "nav2")
-    body = {"metadata": {"labels": {names.WORKLOAD: MINE, names.INSTANCE: "nav2-0"}}}
+def _until_labelled(cluster: Cluster, pod: Object, monitor: str) -> None:
+    """Have the monitor label a pod, as soon as its changed Role counts."""
+    body = {"metadata": {"labels": {names.WORKLOAD: MINE, names.INSTANCE: pod["metadata"]["name"]}}}
 
     def labelled() -> bool:
         try:
-            cluster.patch(pod, body, user=statefulset_monitor)
+            cluster.patch(pod, body, user=monitor)
         except Refused:
             return False
         return True
 
     until(labelled, "the changed Role to count")
+
+
+def test_a_monitor_labels_pods_of_the_statefulset_it_refers_to(
+    cluster: Cluster, namespace: str, statefulset_monitor: str
+) -> None:
+    _until_labelled(cluster, _controlled(cluster, namespace, "StatefulSet", "nav2"), statefulset_monitor)
     other = _controlled(cluster, namespace, "StatefulSet", "other")
-    body["metadata"]["labels"][names.INSTANCE] = "other-0"
+    body = {"metadata": {"labels": {names.WORKLOAD: MINE, names.INSTANCE: "other-0"}}}
     assert "pods of the controller it refers to" in _refusal(
         lambda: cluster.patch(other, body, user=statefulset_monitor)
+    )
+
+
+def _agent(workload: str) -> Object:
+    """The spec of a pod whose agent serves a workload."""
+    agent = {
+        "name": names.AGENT_CONTAINER,
+        "image": "none.invalid/none",
+        "env": [
+            {"name": names.POD_VARIABLE, "valueFrom": {"fieldRef": {"fieldPath": "metadata.name"}}},
+            {"name": names.WORKLOAD_VARIABLE, "value": workload},
+        ],
+    }
+    return {**NOWHERE, "containers": [*NOWHERE["containers"], agent]}
+
+
+def _unlabelled(
+    cluster: Cluster, namespace: str, spec: Object, owner: Object | None = None, labels: dict[str, str] | None = None
+) -> Object:
+    """A pod that lost the label of its workload."""
+    # The garbage collector does not look for owners of a version that does not exist. It would delete the pod, because there is no owner.
+    owners = [{**owner, "apiVersion": f"{names.GROUP}/none"}] if owner is not None else []
+    metadata: Object = {"name": "lost", "labels": labels or {}, "ownerReferences": owners}
+    return cluster.create({"apiVersion": "v1", "kind": "Pod", "metadata": metadata, "spec": spec}, namespace)
+
+
+RESTORED: Object = {"metadata": {"labels": {names.WORKLOAD: MINE, names.INSTANCE: "lost"}}}
+
+
+@pytest.mark.parametrize("labels", [{}, {names.WORKLOAD: OTHER}], ids=["removed", "changed"])
+@pytest.mark.parametrize(
+    ("spec", "owner"), [(NOWHERE, _owner(MINE)), (_agent(MINE), None)], ids=["standby", "released"]
+)
+def test_a_monitor_restores_the_label_of_its_pod(
+    cluster: Cluster, namespace: str, monitor: str, spec: Object, owner: Object | None, labels: dict[str, str]
+) -> None:
+    pod = _unlabelled(cluster, namespace, spec, owner, labels)
+    cluster.delete(pod, user=monitor, dry_run=True)
+    assert "would have " in _refusal(lambda: cluster.patch(pod, {"metadata": {"labels": {"a": "b"}}}, user=monitor))
+    changed = cluster.patch(pod, RESTORED, user=monitor)
+    assert changed["metadata"]["labels"] == RESTORED["metadata"]["labels"]
+
+
+@pytest.mark.parametrize(
+    ("spec", "owner"),
+    [(_agent(MINE), _owner(OTHER)), (_agent(OTHER), None), (_agent(""), None)],
+    ids=["standby", "released", "held"],
+)
+def test_a_monitor_does_not_label_the_pods_of_another_workload(
+    cluster: Cluster, namespace: str, monitor: str, spec: Object, owner: Object | None
+) -> None:
+    pod = _unlabelled(cluster, namespace, spec, owner)
+    assert "may change only pods" in _refusal(lambda: cluster.patch(pod, RESTORED, user=monitor))
+    assert "may delete only pods" in _refusal(lambda: cluster.delete(pod, user=monitor))
+
+
+def test_a_monitor_labels_pods_of_the_replica_set_of_its_workload(
+    cluster: Cluster, namespace: str, monitor: str
+) -> None:
+    _refer(cluster, namespace, "ReplicaSet", MINE)
+    pod = _controlled(cluster, namespace, "ReplicaSet", MINE)
+    _until_labelled(cluster, pod, monitor)
+    other = _controlled(cluster, namespace, "ReplicaSet", OTHER)
+    labels = {names.WORKLOAD: MINE, names.INSTANCE: other["metadata"]["name"]}
+    assert "may change only pods" in _refusal(
+        lambda: cluster.patch(other, {"metadata": {"labels": labels}}, user=monitor)
     )
 
 

@@ -45,7 +45,7 @@ SETTLE = 2.0
 """Maximum seconds that a new monitor waits for the agents of understudies before it begins or continues a recovery."""
 
 SLOW = 1.0
-"""Seconds between two rounds of work that is not urgent: labels, standbys, whether the gate is enforced."""
+"""Seconds between two rounds of work that is not urgent: standbys, whether the gate is enforced."""
 
 
 @dataclass(frozen=True)
@@ -109,6 +109,7 @@ class MonitorLoop:
             now = schedule.begin()
             next_evaluation = now + TICK
             self.decide.limits.pauses.update(now)
+            self.act.labels.follow()  # first, since a pod that vanished may have been unlabelled and not deleted
             policy = self._view.policy
             if policy is None or self._view.retired:
                 self._notices.set(health="Unknown")
@@ -309,7 +310,7 @@ class MonitorLoop:
 
     @asynccontextmanager
     async def _ending_leaks(self) -> AsyncIterator[None]:
-        """Judge and end leaks, and restore an edited gate, also during a recovery: it may wait for long, for example for a pod."""
+        """Judge and end leaks, and restore the gate and labels, also during a recovery: it may wait for long, for example for a pod."""
         ending = asyncio.create_task(self._end_leaks())
         try:
             yield
@@ -319,6 +320,7 @@ class MonitorLoop:
     async def _end_leaks(self) -> None:
         while True:
             await asyncio.sleep(PERIOD)  # first, since the last evaluation was just now and the recovery must not wait
+            self.act.labels.follow()
             now = time.time()
             self._drain()
             self.judge.sole_driver.update(self._pods.of_workload(), now)

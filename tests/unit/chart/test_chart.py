@@ -57,6 +57,8 @@ def test_the_admission_policy_uses_the_names_of_the_code(render: Render) -> None
     assert f"endsWith('{names.MONITOR_ACCOUNT_ENDING}')" in text.replace("''", "'")
     for label in (names.WORKLOAD, names.INSTANCE, names.HELD):
         assert f"labels[?'{label}']" in text.replace("''", "'")
+    assert f"c.name == '{names.AGENT_CONTAINER}'" in text.replace("''", "'")
+    assert f"e.name == '{names.WORKLOAD_VARIABLE}'" in text.replace("''", "'")
 
 
 def test_the_policy_of_labels_uses_the_names_of_the_code(render: Render) -> None:

@@ -56,7 +56,7 @@ class ActStage:
         self.leaks = LeakResponse(cluster.pods, self.strays, cluster.gate, decide.sole_driver, notices)
         self.deferral = DeferredRecovery(cluster, limits, current, journal, notices)
         self.recoveries = RecoveryRunner(cluster.view, options, state_manager, current, self.abandonment, notices)
-        self._labels = PodLabels(cluster.pods)
+        self.labels = PodLabels(cluster, notices)
         self._standbys = StandbySupervision(cluster, senses, state_manager, decide.unseen_restart, notices)
 
     def judged(self, judgement: Judgement) -> None:
@@ -82,11 +82,9 @@ class ActStage:
         self._senses.agents.follow(self._cluster.pods.of_workload())
 
     def keep_connected(self) -> None:
-        """Label new pods, keep connections to agents, and mark abandoned recoveries at the gate. Returns at once."""
+        """Keep connections to agents, and mark abandoned recoveries at the gate. Returns at once."""
         self.abandonment.update()
-        instances = self._cluster.pods.of_workload()
-        self._labels.follow(instances)
-        self._senses.agents.follow(instances)
+        self._senses.agents.follow(self._cluster.pods.of_workload())
 
     async def restore_routing(self) -> None:
         """Undo what somebody else changed in whom the gate lets through."""

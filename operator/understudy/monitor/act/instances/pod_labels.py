@@ -1,30 +1,99 @@
-"""Labels the new pods of a workload: the gate selects pods by these labels."""
+"""Keeps the labels of a workload's pods: the gate selects pods by these labels, and this monitor watches them by one of them.
+
+New pods get them. A pod whose label somebody removed vanishes from the watch, as if it were gone, but no policy fences it any more. So the
+API server is asked for each pod that vanishes. The operator restores labels too, but only while one of its replicas leads.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
+import math
+import time
 from collections.abc import Sequence
 
+from understudy.api import names
 from understudy.failover.interfaces import Instance
-from understudy.kube.client import FAILURES
-from understudy.monitor.act.objects.pod_control import PodControl
+from understudy.kube.client import FAILURES, PODS, ApiError, Object
+from understudy.monitor.act.instances.stray_pods import is_stray
+from understudy.monitor.act.objects.cluster import Cluster
+from understudy.monitor.notices import Notices
+
+_logger = logging.getLogger(__name__)
+
+AGAIN = 1.0
+"""Seconds after which requests without success are repeated, although no pod has changed."""
+
+ANSWER_WITHIN = 2.0
+"""Seconds after which the requests for one pod count as not answered."""
 
 
 class PodLabels:
     """Labels pods in the background: a slow API server must not delay a detection."""
 
-    def __init__(self, fleet: PodControl) -> None:
-        self._fleet = fleet
+    def __init__(self, cluster: Cluster, notices: Notices) -> None:
+        self._cluster, self._notices = cluster, notices
+        self._revision: tuple[int, int] | None = None
+        self._next = -math.inf
+        self._known: dict[str, Instance] = {}
+        """By UID, the pods that were not being deleted when last seen. One that vanished stays until the API server has answered."""
         self._labelling: asyncio.Task[None] | None = None
 
-    def follow(self, instances: Sequence[Instance]) -> None:
-        """Label these instances, unless earlier ones are still being labelled. Returns at once."""
-        if self._labelling is None or self._labelling.done():
-            self._labelling = asyncio.create_task(self._label(instances))
+    def follow(self) -> None:
+        """Label the pods that lack a label, unless earlier ones are still being labelled. Returns at once."""
+        now, revision = time.monotonic(), self._cluster.view.pods_revision
+        if revision == self._revision and now < self._next:  # each evaluation asks
+            return
+        if self._labelling is not None and not self._labelling.done():
+            return
+        if self._revision is None:
+            self._know_the_active_one()
+        self._revision, self._next = revision, now + AGAIN
+        instances = self._cluster.pods.of_workload()
+        present = {one.uid for one in instances}
+        vanished = [one for uid, one in self._known.items() if uid not in present]
+        remaining = [one for one in instances if not one.terminating]
+        self._known = {one.uid: one for one in (*vanished, *remaining)}
+        self._labelling = asyncio.create_task(self._label(vanished, remaining))
 
-    async def _label(self, instances: Sequence[Instance]) -> None:
+    def _know_the_active_one(self) -> None:
+        """Expect the pod that the gate names: it may have lost its label before this monitor started."""
+        state = self._cluster.gate.state
+        if state.active_uid:
+            self._known[state.active_uid] = Instance(state.active, state.active_uid)
+
+    async def _label(self, vanished: Sequence[Instance], instances: Sequence[Instance]) -> None:
+        for instance in vanished:
+            try:
+                async with asyncio.timeout(ANSWER_WITHIN):
+                    await self._restore(instance)
+            except FAILURES as error:
+                if not isinstance(error, ApiError) or not error.final:
+                    continue
+                if not error.not_found:
+                    _logger.warning("could not restore the label %s of %s: %s", names.WORKLOAD, instance.name, error)
+            del self._known[instance.uid]
         for instance in instances:
-            if not instance.terminating:
-                with contextlib.suppress(*FAILURES):
-                    await self._fleet.label(instance)
+            with contextlib.suppress(*FAILURES):
+                async with asyncio.timeout(ANSWER_WITHIN):
+                    await self._cluster.pods.label(instance)
+
+    async def _restore(self, instance: Instance) -> None:
+        """Give a pod its labels back if it exists and runs, belongs to this workload, and lacks its label. Raises one of FAILURES."""
+        view, settings = self._cluster.view, self._cluster.view.settings
+        pod = await view.client.get(PODS, view.namespace, instance.name)
+        if settings is None or pod["metadata"]["uid"] != instance.uid or _ends(pod) or not is_stray(pod, settings):
+            return
+        await self._cluster.pods.put_labels(pod)
+        words = (
+            f"pod {instance.name} had lost the label {names.WORKLOAD}, which the gate needs: somebody had changed it"
+        )
+        _logger.warning("restored the labels: %s", words)
+        self._notices.event("Warning", "LabelsRestored", words)
+
+
+def _ends(pod: Object) -> bool:
+    """Whether a pod has ended or is being deleted."""
+    ended = (pod.get("status") or {}).get("phase") in ("Succeeded", "Failed")
+    return ended or bool(pod["metadata"].get("deletionTimestamp"))

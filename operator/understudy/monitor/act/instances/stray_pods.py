@@ -37,11 +37,11 @@ def strays(
     return [
         instance
         for pod in pods
-        if ((instance := instance_of(pod)).uid in uids or host_at(instance.ip) in hosts) and _is_stray(pod, settings)
+        if ((instance := instance_of(pod)).uid in uids or host_at(instance.ip) in hosts) and is_stray(pod, settings)
     ]
 
 
-def _is_stray(pod: Object, settings: WorkloadSettings) -> bool:
+def is_stray(pod: Object, settings: WorkloadSettings) -> bool:
     """Whether a pod is this workload's but does not have its label. A pod that a pool owns is unclaimed, and drives no robot."""
     if (pod["metadata"].get("labels") or {}).get(names.WORKLOAD) == settings.workload:
         return False

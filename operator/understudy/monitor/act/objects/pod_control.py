@@ -212,13 +212,17 @@ class PodControl:
     async def label(self, instance: Instance) -> None:
         """Give a pod of this workload the labels with which the gate selects it."""
         pod = next((p for p in self._view.all_pods() if p["metadata"]["uid"] == instance.uid), None)
-        if pod is None:
-            return
-        wanted = {names.WORKLOAD: self._view.workload, names.INSTANCE: instance.name}
+        if pod is not None:
+            await self.put_labels(pod)
+
+    async def put_labels(self, pod: Object) -> None:
+        """Write these labels to a pod that lacks one, also if the pod is not watched because of that."""
+        name, uid = pod["metadata"]["name"], pod["metadata"]["uid"]
+        wanted = {names.WORKLOAD: self._view.workload, names.INSTANCE: name}
         labels = pod["metadata"].get("labels") or {}
         if any(labels.get(key) != value for key, value in wanted.items()):
-            body = {"metadata": {"uid": instance.uid, "labels": wanted}}
-            self._view.pods.put(await self._client.patch(PODS, self._view.namespace, instance.name, body))
+            body = {"metadata": {"uid": uid, "labels": wanted}}
+            self._view.pods.put(await self._client.patch(PODS, self._view.namespace, name, body))
 
     async def _delete(self, instance: Instance, grace: int | None = None) -> None:
         if grace is None and self._settings.source_kind == "StatefulSet":
