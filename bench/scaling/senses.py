@@ -81,7 +81,7 @@ class HealthObserver:
     def processes(self, pod: str) -> frozenset[bytes]:
         return frozenset()
 
-    def hears_others(self) -> bool:
+    def discovered(self, instance: Instance) -> bool:
         return True
 
     def expect_samples(self, *, since: float, heard_from: float) -> None:

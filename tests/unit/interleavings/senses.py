@@ -114,8 +114,10 @@ class HealthObserver:
     def processes(self, pod: str) -> frozenset[bytes]:
         return frozenset()
 
-    def hears_others(self) -> bool:
-        return True
+    def discovered(self, instance: Instance) -> bool:
+        """Whether its application runs. Discovery takes no time."""
+        found = self._at(instance.ip)
+        return found is not None and found.up
 
     def expect_samples(self, *, since: float, heard_from: float) -> None:
         self._expected_since, self._expected_by = since, heard_from + HEARD_WITHIN

@@ -87,9 +87,9 @@ def begin_task(observer: HealthObserver) -> Callable[[], None]:
 
 
 def own_address(observer: HealthObserver) -> str:
-    """Return an address with which the publishers of this process are those of a pod."""
+    """Return an address with which the endpoints of this process are those of a pod."""
     end = time.monotonic() + 20
-    while not (ends := observer.graph.publishers("/beat")):
+    while not (ends := observer.graph.subscribers("/beat")):
         assert time.monotonic() < end
         time.sleep(0.02)
     addresses = (f"10.{a}.{b}.{c}" for a in range(16) for b in range(256) for c in range(256))

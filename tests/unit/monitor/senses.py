@@ -17,7 +17,7 @@ from understudy.monitor.observe.instance_roles import InstanceRoles
 from understudy.monitor.observe.robot.context_detection import SituationState
 from understudy.monitor.observe.robot.degraded_tree import BusyReason
 from understudy.monitor.observe.robot.health_observer import HealthObserver
-from understudy.monitor.observe.robot.known_senders import KnownSender, OutputSender
+from understudy.monitor.observe.robot.known_senders import KnownSender, OutputSender, host_at
 from understudy.monitor.observe.robot.robot_readers import RobotReaders
 from understudy.monitor.observe.senses import Senses
 from understudy.ros.runtime.graph_node import Endpoint, Graph
@@ -81,8 +81,10 @@ class GivenObserver(HealthObserver):
         """The processes from which outputs of each pod were received."""
         self.twins: set[str] = set()
         """Pods that cannot be distinguished from others."""
-        self.others = True
-        """Whether discovery has found others in the ROS graph."""
+        self.undiscovered: set[str] = set()
+        """UIDs of the instances of which discovery has found no output."""
+        self.searched: list[str] = []
+        """UIDs of the instances of which it was asked for, each time."""
         self.senders: list[KnownSender] = []
         """The instances that exist, and those that are gone and may still send."""
         self.heard: list[OutputSender] = []
@@ -137,8 +139,9 @@ class GivenObserver(HealthObserver):
     def processes(self, pod: str) -> frozenset[bytes]:
         return self.heard_processes.get(pod, frozenset())
 
-    def hears_others(self) -> bool:
-        return self.others
+    def discovered(self, instance: Instance) -> bool | None:
+        self.searched.append(instance.uid)
+        return instance.uid not in self.undiscovered if host_at(instance.ip) else None
 
     def expect_samples(self, *, since: float, heard_from: float) -> None:
         return

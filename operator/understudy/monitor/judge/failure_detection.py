@@ -120,8 +120,10 @@ class FailureDetector:
         # ``since`` can lie in the future if it comes from another node's clock: then no message would count until that time.
         self._since = min(self._since, CLOCK.now())
         since = self.since
-        self._expect_samples(now, since)
+        self._expect_samples(since)
         verdict = self._observer.verdict(now=now, since=since)
+        if verdict.state == "Starting":
+            self._look_for(active, now, since)
         last_well = self._observer.last_well(active.name)
         if verdict.state == "Starting" and now - since > (KNOWN_GRACE if last_well is None else HEARD_GRACE):
             # The instance is older than this monitor or its own time in control: the agent's report counts, not the startup grace.
@@ -134,18 +136,24 @@ class FailureDetector:
                 return Verdict("Failed", status.reason, verdict.leaf, onset)
         return verdict
 
-    def _expect_samples(self, now: float, since: float) -> None:
-        """Shorten the grace of an instance that had driven before this monitor started.
+    def _look_for(self, active: Instance, now: float, since: float) -> None:
+        """Shorten the grace of an instance that had driven before this monitor started, once discovery has found it.
 
-        Discovery takes a moment after the start, and the network of this monitor or of the robot may be down. So the time counts only
-        once this monitor has discovered anybody else: a monitor that hears nobody knows nothing about the instance.
+        Discovery takes a moment after the start, and the network of this monitor or of the instance may be down. If the discovery server
+        has just restarted, it may report the robot long before the instance. A monitor without a writer of the instance knows nothing
+        about its silence.
         """
-        if self._driven_epoch is not None:
-            if self._driven_epoch != self._gate.state.epoch:
-                self._driven_epoch = None  # the gate was opened for another instance since, which is new
-            elif self._observer.hears_others():
-                self._driven_epoch, self._heard_from = None, CLOCK.of_system(now)
-        if self._heard_from is not None and since != self._expected_since:  # now, and after the clock was set
+        if self._driven_epoch is None:
+            return
+        if self._driven_epoch != self._gate.state.epoch:
+            self._driven_epoch = None  # the gate was opened for another instance since, which is new
+        elif self._observer.discovered(active):
+            self._driven_epoch, self._heard_from = None, CLOCK.of_system(now)
+            self._expect_samples(since)
+
+    def _expect_samples(self, since: float) -> None:
+        """Have the health tree expect the samples of an instance that had driven before and is discovered."""
+        if self._heard_from is not None and since != self._expected_since:  # at first, and after the clock was set
             self._expected_since = since
             self._observer.expect_samples(since=since, heard_from=CLOCK.to_system(self._heard_from))
 

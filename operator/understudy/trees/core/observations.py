@@ -299,8 +299,8 @@ class RecordedObservations:
 
 
 HEARD_WITHIN = 5.0
-"""Seconds within which an instance that already sends is heard by an observer that has discovered others. DDS participants announce
-themselves every 3 s, so that one whose first announcements were lost is discovered then; the rest is for busy machines."""
+"""Seconds within which an instance that already sends is heard by an observer that has discovered one of its outputs. DDS participants
+announce themselves every 3 s, so that what was lost of the first announcements is discovered then; the rest is for busy machines."""
 
 
 @dataclass

@@ -139,12 +139,12 @@ def test_a_debounce_is_not_prolonged_by_a_clock_that_is_set_back() -> None:
 
 
 def judging_silence(
-    leaf: dict[str, str], *, driven_epoch: int | None, hears: bool = True
+    leaf: dict[str, str], *, driven_epoch: int | None, discovered: bool = True
 ) -> tuple[FailureDetector, Evaluating]:
     """A new monitor's detector at epoch 3 of the gate, whose policy has this leaf about /cmd_vel. Nothing is received."""
     monitoring = Monitoring.model_validate({"yaml": {"topic": {"name": "/cmd_vel", **leaf}}})
     observing = Evaluating(load_monitoring(monitoring), TopicRecord())
-    observing.others = hears
+    observing.undiscovered = set() if discovered else {"uid-1"}
     judging = detector(observer=observing, driven_epoch=driven_epoch)
     observing.tree_begins(judging.since)
     return judging, observing
@@ -179,14 +179,38 @@ def test_an_instance_that_the_gate_was_opened_for_since_has_the_whole_startup_gr
     assert judging.verdict(ACTIVE, start + 30.1).state == "Failed"
 
 
-def test_a_new_monitor_that_hears_nobody_does_not_judge_silence_early() -> None:
-    judging, observing = judging_silence({"gap": "500ms"}, driven_epoch=3, hears=False)
+def test_a_new_monitor_that_has_not_discovered_the_instance_does_not_judge_its_silence_early() -> None:
+    judging, observing = judging_silence({"gap": "500ms"}, driven_epoch=3, discovered=False)
     start = judging.since
     assert judging.verdict(ACTIVE, start + 10).state == "Starting"
-    observing.others = True
+    observing.undiscovered.clear()
     assert judging.verdict(ACTIVE, start + 20).state == "Starting"
     assert judging.verdict(ACTIVE, start + 24.9).state == "Starting"
     assert judging.verdict(ACTIVE, start + 25.1).state == "Failed"
+
+
+def test_an_instance_that_is_never_discovered_has_the_startup_grace_from_the_start_of_the_monitor() -> None:
+    judging, _ = judging_silence({"gap": "500ms"}, driven_epoch=3, discovered=False)
+    start = judging.since
+    assert judging.verdict(ACTIVE, start + 29.9).state == "Starting"
+    assert judging.verdict(ACTIVE, start + 30.1).state == "Failed"
+
+
+def test_an_instance_that_is_never_discovered_fails_as_soon_as_its_agent_reports_that_it_is_not_ready() -> None:
+    status = AgentStatus("Running", ready_at=time.time() - 900, reason="its outputs are not healthy")
+    observing = GivenObserver()
+    observing.undiscovered = {"uid-1"}
+    judging = detector(ACTIVE, observer=observing, driven_epoch=3, status=status)
+    assert judging.verdict(ACTIVE, judging.since + KNOWN_GRACE - 0.1).state == "Starting"
+    assert judging.verdict(ACTIVE, judging.since + KNOWN_GRACE + 0.1).state == "Failed"
+
+
+def test_discovery_is_not_asked_for_a_healthy_instance() -> None:
+    observing = GivenObserver()
+    observing.undiscovered, observing.health = {"uid-1"}, Verdict("Healthy", "", "", None)
+    judging = detector(ACTIVE, observer=observing, driven_epoch=3)
+    judging.verdict(ACTIVE, judging.since + 1)
+    assert observing.searched == []
 
 
 def test_an_instance_that_takes_over_from_one_that_had_driven_has_the_whole_startup_grace() -> None:

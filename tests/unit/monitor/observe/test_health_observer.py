@@ -14,15 +14,18 @@ pytest.importorskip("rclpy")
 
 from geometry_msgs.msg import Twist
 from std_msgs.msg import String
+from std_srvs.srv import Empty
 
 from tests.support.clock import Clock, set_clock
-from tests.unit.monitor.cluster_objects import ClusterObjects
+from tests.unit.monitor.cluster_objects import ClusterObjects, parsed_spec
 from tests.unit.monitor.observed_robot import STATUS, begin_task, count, observing, own_address, publisher, until
 from tests.unit.monitor.observed_robot import policy_with as _policy
+from tests.unit.monitor.senses import GivenSenses
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.clock import CLOCK
 from understudy.failover.interfaces import GateState, Instance
+from understudy.monitor.judge.failure_detection import FailureDetector
 from understudy.monitor.observe.robot import degraded_tree, health_observer
 from understudy.monitor.observe.robot.health_observer import HealthObserver
 from understudy.ros.runtime.graph_node import Graph
@@ -100,14 +103,59 @@ async def test_the_wait_for_the_first_output_ends_with_the_task(observer: Health
         assert await waiting is None
 
 
-def test_a_monitor_hears_others_once_discovery_has_found_a_node_that_is_not_its_own(observer: HealthObserver) -> None:
-    publisher(observer, "/beat", String)
-    observer.drain([], "")
-    assert not observer.hears_others()
+def test_a_reader_of_the_robot_does_not_shorten_the_grace_of_an_instance_that_is_not_discovered(
+    observer: HealthObserver,
+) -> None:
+    """As after a restart of the discovery server, which may bring the robot back before the instance."""
+    objects, inherited = ClusterObjects(), Instance("w-1", "uid-1", ip=own_address(observer), running=True)
+    objects.put_pods(inherited)
+    objects.put_gate(GateState(epoch=3, active="w-1", active_uid="uid-1"))
+    agents = GivenSenses(objects).agents
+    judging = FailureDetector(objects.pods, objects.gate, agents, observer, driven_epoch=3)
+    start = judging.since
     robot = Graph("robot")
-    robot.subscribe("/cmd_vel", "geometry_msgs/msg/Twist", depth=1)
-    until(observer, observer.hears_others)
+    robot.subscribe("/beat", "std_msgs/msg/String", depth=1)
+    until(observer, lambda: observer.graph.subscribers("/beat")[1:])
+    assert judging.verdict(inherited, start + 1).state == "Starting"
+    assert judging.verdict(inherited, start + 29).state == "Starting"
+    publisher(observer, "/beat", String)
+    until(observer, lambda: observer.graph.publishers("/beat"))
+    now = time.time()
+    assert judging.verdict(inherited, now).state == "Starting"
+    assert judging.verdict(inherited, now + 5.1).state == "Failed"
     robot.close()
+
+
+def test_an_instance_is_discovered_by_an_endpoint_of_an_output_on_its_own_host(observer: HealthObserver) -> None:
+    outputs = [
+        {"topic": "/beat", "type": "std_msgs/msg/String"},
+        {"service": "/reset", "type": "std_srvs/srv/Empty"},
+    ]
+    observer.follow(_policy({"topic": {"name": "/beat", "gap": "1s"}}), parsed_spec(outputs=outputs))
+    other = Graph("other")
+    other.subscribe("/beat", "std_msgs/msg/String", depth=1)
+    until(observer, lambda: observer.graph.subscribers("/beat")[1:])
+    here = Instance("w-1", "uid-1", ip=own_address(observer))
+    elsewhere = Instance("w-2", "uid-2", ip="10.99.0.1")
+    assert observer.discovered(here) is False
+    server = other.node.create_service(Empty, "/reset", lambda request, response: response)
+    until(observer, lambda: observer.discovered(here))
+    assert observer.discovered(elsewhere) is False
+    other.node.destroy_service(server)
+    until(observer, lambda: observer.discovered(here) is False)
+    publisher(observer, "/beat", String)
+    until(observer, lambda: observer.discovered(here))
+    other.close()
+
+
+def test_whether_an_instance_is_discovered_is_unknown_without_an_ipv4_address_or_outputs(
+    observer: HealthObserver,
+) -> None:
+    assert observer.discovered(Instance("w-1", "uid-1", ip="fd00::1")) is None
+    assert observer.discovered(Instance("w-1", "uid-1")) is None
+    new = HealthObserver()
+    assert new.discovered(Instance("w-1", "uid-1", ip="10.0.0.1")) is None
+    new.graph.close()
 
 
 def test_a_restarted_process_of_a_pod_is_distinguished_from_the_one_before(observer: HealthObserver) -> None:

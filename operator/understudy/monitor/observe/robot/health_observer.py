@@ -269,14 +269,15 @@ class HealthObserver:
         if self._tree is not None:
             self._tree.expect_samples(since=since, heard_from=heard_from)
 
-    def hears_others(self) -> bool:
-        """Return whether discovery has found a reader or a writer of an output in another pod or outside of the cluster."""
-        own = self.graph.node.get_fully_qualified_name()
-        for output in self._outputs:
-            ends = [*self.graph.endpoints(output), *(self.graph.subscribers(output.topic) if output.topic else ())]
-            if any(end.node != own and MIDDLEWARE.host_of(end.gid) != self.own_host for end in ends):
-                return True
-        return False
+    def discovered(self, instance: Instance) -> bool | None:
+        """Return whether discovery has found an endpoint of an output on an instance's host; None if that cannot be known.
+
+        Readers of topics do not count: they are the robot's. It cannot be known without an IPv4 address, or before the outputs are known.
+        """
+        host = host_at(instance.ip)
+        if not host or not self._outputs:
+            return None
+        return any(MIDDLEWARE.host_of(end.gid) == host for one in self._outputs for end in self.graph.endpoints(one))
 
     def degraded_verdict(self, *, now: float, since: float) -> Verdict:
         """Return the verdict of the tree of ``spec.degraded`` on the active instance. Times are Unix seconds."""
