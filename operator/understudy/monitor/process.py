@@ -32,6 +32,7 @@ from understudy.monitor.act.objects.gate_control import GateControl
 from understudy.monitor.act.objects.pod_control import PodControl
 from understudy.monitor.act.recovery.recovery_journal import RecoveryJournal
 from understudy.monitor.crash_points import CrashPoints
+from understudy.monitor.judge.deafness import Deaf, DeafnessWatch, EndedFor
 from understudy.monitor.loop import MonitorLoop, Parts
 from understudy.monitor.notices import Notices, PublishedStatus
 from understudy.monitor.observe.agent_connections import AgentConnections
@@ -59,7 +60,10 @@ STATE = Path("/var/lib/understudy")
 
 
 def main(argv: list[str]) -> int:
-    """Run until SIGTERM or SIGINT. UNDERSTUDY_WORKLOAD and UNDERSTUDY_NAMESPACE name the workload."""
+    """Run until SIGTERM or SIGINT. UNDERSTUDY_WORKLOAD and UNDERSTUDY_NAMESPACE name the workload.
+
+    Returns 75 (EX_TEMPFAIL) if this process is deaf for the active instance and must start again.
+    """
     json_logs.configure(os.environ.get("UNDERSTUDY_LOG_LEVEL", "INFO"))
     workload, namespace = os.environ.get("UNDERSTUDY_WORKLOAD"), os.environ.get("UNDERSTUDY_NAMESPACE")
     if not workload or not namespace:
@@ -68,8 +72,14 @@ def main(argv: list[str]) -> int:
     state = Path(os.environ.get("UNDERSTUDY_STATE", STATE))
     state.mkdir(parents=True, exist_ok=True)
     cpu_scheduling.ask_for_short_slices()
-    asyncio.run(_run(workload, namespace, state))
-    return 0
+    try:
+        asyncio.run(_run(workload, namespace, state))
+    except* Deaf as group:
+        _logger.error("%s", group.exceptions[0])
+        code = os.EX_TEMPFAIL
+    else:
+        code = 0
+    return code
 
 
 async def _run(workload: str, namespace: str, state: Path) -> None:
@@ -142,6 +152,7 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         group.create_task(diagnostics.run())
         group.create_task(black_box.run())
         group.create_task(readership.run())
+        group.create_task(DeafnessWatch(fleet, gate, agents, observer, EndedFor(state / "deaf-for"), notices).run())
         socket = Path(os.environ.get("UNDERSTUDY_TASKS_SOCKET", f"{names.TASKS_DIR}/{names.TASKS_SOCKET}"))
         group.create_task(ActionProxyLink(socket, view, fleet, gate, agents, notices).run())
         alive["ready"] = time.time()
