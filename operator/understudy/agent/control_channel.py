@@ -15,6 +15,8 @@ import secrets
 import socket
 import struct
 import termios
+import time
+from collections import deque
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -104,12 +106,31 @@ class _Session:
         self.events: asyncio.Queue[Mapping[str, Any]] = asyncio.Queue(MOST_EVENTS)
         self._reader, self._writer = reader, writer
         self._sending = asyncio.Lock()
+        self._statuses = 0
+        """How many statuses were sent."""
+        self._recent: deque[tuple[int, float]] = deque()
+        """The numbers of the statuses that were sent of late, and when (monotonic seconds)."""
 
     async def send(self, message: Mapping[str, Any]) -> None:
         line = wire.encode(message)
         async with self._sending, asyncio.timeout(SEND):
             self._writer.write(line)
             await self._writer.drain()
+
+    async def send_status(self, status: AgentStatus) -> None:
+        self._statuses += 1
+        now = time.monotonic()
+        self._recent.append((self._statuses, now))
+        while self._recent and now - self._recent[0][1] > wire.FRESH:
+            self._recent.popleft()
+        await self.send({"status": status.to_wire(), "number": self._statuses})
+
+    def held_back(self, request: Mapping[str, Any]) -> bool:
+        """Whether a request was sent long ago, by the last status that its sender had seen. One of version 0.1.0 does not name it."""
+        seen, now = request.get("seen"), time.monotonic()
+        if not isinstance(seen, int) or seen > self._statuses:
+            return False
+        return not any(number == seen and now - sent <= wire.FRESH for number, sent in self._recent)
 
     async def receive(self) -> dict[str, Any]:
         return wire.decode(await read_line(self._reader, wire.MAX_LINE))
@@ -271,7 +292,7 @@ class ControlChannel:
 
     async def _serve(self, request: Mapping[str, Any], session: _Session) -> None:
         """Carry out one request. It is cancelled when the session ends: the next monitor repeats it."""
-        answer = await self._answer(request, session.peer)
+        answer = await self._answer(request, session)
         try:
             await session.send(answer)
         except (OSError, ProtocolError) as error:
@@ -292,7 +313,7 @@ class ControlChannel:
         try:
             while True:
                 version = self._served.version
-                await session.send({"status": self._served.status().to_wire()})
+                await session.send_status(self._served.status())
                 with contextlib.suppress(TimeoutError):
                     async with asyncio.timeout(wire.STATUS_PERIOD):
                         await self._served.changed(version)
@@ -304,8 +325,8 @@ class ControlChannel:
             _logger.exception("telling %s the status", session.peer.host)
         session.abort()
 
-    async def _answer(self, request: Mapping[str, Any], peer: Peer) -> dict[str, Any]:
-        number, op = request.get("id"), request.get("op")
+    async def _answer(self, request: Mapping[str, Any], session: _Session) -> dict[str, Any]:
+        number, op, peer = request.get("id"), request.get("op"), session.peer
         operations = self._served.operations()
         try:
             if (reason := self._served.refuses(peer.workload, peer.claim)) is not None:
@@ -314,6 +335,9 @@ class ControlChannel:
                 return {"id": number, "ok": True, "status": self._served.status().to_wire()}
             if not isinstance(op, str) or op not in operations:
                 raise Refused(f"unknown op {op!r}; there are {', '.join(operations)} and status")
+            if session.held_back(request):
+                held_back = f"the request arrived more than {wire.FRESH:g} s after what its sender had seen last"
+                return {"id": number, "error": held_back, "heldBack": True}
             if (reason := self._served.outdated(GateEpoch.from_wire(request.get("gate")))) is not None:
                 raise Refused(reason)
             found = await operations[op](request, peer)

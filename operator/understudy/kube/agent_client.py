@@ -68,6 +68,8 @@ class AgentLink:
         self._status: AgentStatus | None = None
         self._writer: asyncio.StreamWriter | None = None
         self._numbers = itertools.count(1)
+        self._seen = 0
+        """Number of the last status that was received in this session; 0 if the agent does not number them."""
         self._answers: dict[int, asyncio.Future[dict[str, Any]]] = {}
         self._changed = asyncio.Event()
         self._accepted = False
@@ -200,7 +202,8 @@ class AgentLink:
         if writer is None:
             raise AgentGone(f"agent {self.host}: {self.problem}")
         number = next(self._numbers)
-        line = wire.encode({"id": number, "op": op, "gate": (epoch or self._epoch()).to_wire(), **body})
+        seen = {"seen": self._seen} if self._seen else {}
+        line = wire.encode({"id": number, "op": op, "gate": (epoch or self._epoch()).to_wire(), **seen, **body})
         answer: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
         self._answers[number] = answer
         try:
@@ -217,6 +220,8 @@ class AgentLink:
             self._answers.pop(number, None)
             if answer.done() and not answer.cancelled():
                 answer.exception()  # if the connection was lost before anybody waited for it, asyncio would log a traceback
+        if message.get("heldBack"):
+            raise AgentGone(f"agent {self.pod or self.host}: {op}: {message['error']}")
         if "error" in message:
             raise AgentRefused(f"agent {self.pod or self.host}: {op}: {message['error']}")
         return message
@@ -267,6 +272,7 @@ class AgentLink:
         if "error" in first:
             raise AgentRefused(str(first["error"]))
         status = AgentStatus.from_wire(first.get("status", {}))
+        self._seen = int(first.get("number", 0))
         self.pod, self.uid = str(greeting.get("pod", "")), str(greeting.get("uid", ""))
         self._writer, self._status, self.problem, self._accepted = writer, status, "", True
         self.refused = False
@@ -278,7 +284,7 @@ class AgentLink:
             async with asyncio.timeout(wire.SILENCE):
                 message = wire.decode(await _line(reader))
             if "status" in message and "id" not in message:
-                self._status = AgentStatus.from_wire(message["status"])
+                self._status, self._seen = AgentStatus.from_wire(message["status"]), int(message.get("number", 0))
                 self._notify()
             elif "event" in message and "id" not in message:
                 self._notify_event(message["event"])

@@ -61,7 +61,7 @@ class HealthObserver:
     def __init__(self, process: Process, robots: Robots, workload: str, looked: Callable[[], None]) -> None:
         """Times are those of the monitor's clock. ``looked`` is called with every look of the monitor."""
         self._robots, self._workload, self._looked = robots, workload, looked
-        self._stamp = process.stamp
+        self._clock = process.stamp
         self._active = ""
         self._expected_since = self._expected_by = -math.inf
         self._senders = KnownSenders()
@@ -94,7 +94,11 @@ class HealthObserver:
     @property
     def now(self) -> float:
         """The time."""
-        return self._stamp(self._robots.now)
+        return self._clock(self._robots.now)
+
+    def _stamp(self, moment: float) -> float:
+        """A moment by the monitor's clock as it is set now: the receive times of samples move with the clock."""
+        return self.now - (self._robots.now - moment)
 
     def first(self, found: Running, since: float) -> float | None:
         """When a sample of an instance first arrived at or after a time."""

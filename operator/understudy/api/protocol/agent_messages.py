@@ -1,10 +1,14 @@
 """The messages between the monitor and an agent, and how the monitor proves that it may command the agent.
 
 TCP, one JSON object per line. The agent speaks first: ``{"nonce", "pod", "uid", "version"}``. The monitor answers
-``{"workload", "claim", "mac"}``, and from then on sends requests ``{"id", "op", "gate", ...}``, each answered by
+``{"workload", "claim", "mac"}``, and from then on sends requests ``{"id", "op", "gate", "seen", ...}``, each answered by
 ``{"id", "ok": true, ...}`` or ``{"id", "error"}``, in the order in which they are completed. In between, the agent
-sends ``{"status": ...}`` on every change and once a second, so that silence means that the connection is lost, and
-``{"event": ...}`` for events such as the feedback of a goal.
+sends ``{"status": ..., "number": n}`` on every change and once a second, so that silence means that the connection is
+lost, and ``{"event": ...}`` for events such as the feedback of a goal.
+
+``seen`` is the number of the last status that the monitor has received. It proves the age of a request without a common
+clock: if the agent sent ``seen`` too long ago, the network or a stalled process has held the request back. The agent then does
+not carry it out and answers ``{"id", "error", "heldBack": true}``. The monitor may send it again if it still wants it.
 
 Plain dataclasses, without pydantic: every pod has an agent, and a held agent should need little memory.
 """
@@ -36,6 +40,9 @@ STATUS_PERIOD = 1.0
 
 SILENCE = 3.0
 """Seconds without a message after which the connection counts as lost."""
+
+FRESH = 4.0
+"""Seconds after the agent has sent a status until requests of a monitor that has seen no later one are refused."""
 
 RENEW_PERMIT = "lease"
 """Name of the operation that renews an instance's permit. Agents of version 0.1.0 know it by this name, and an upgrade leaves the

@@ -87,7 +87,9 @@ class AgentConnections:
         wanted = {i.uid: i for i in instances if i.has_agent and i.ip and not i.held and not i.leaving}
         self._instances = wanted
         self._driving = {uid: to for uid, to in self._driving.items() if uid in wanted}
-        for uid in [uid for uid in self._links if uid not in wanted]:
+        # A pod that its node starts again, as after a loss of power, keeps its UID and has another address.
+        old = [uid for uid, link in self._links.items() if uid not in wanted or wanted[uid].ip != link.host]
+        for uid in old:
             self._configured.pop(uid, None)
             self._spawn(self._links.pop(uid).close())
         for uid, instance in wanted.items():

@@ -6,6 +6,7 @@ import asyncio
 import base64
 import contextlib
 from collections.abc import AsyncIterator, Callable
+from dataclasses import replace
 
 import pytest
 
@@ -102,6 +103,17 @@ async def test_a_recreated_secret_is_read_when_an_agent_refuses_the_token(
         while agents.status(INSTANCE) is None:
             await asyncio.sleep(0.01)
     assert await agents.token(INSTANCE) == b"second"
+    agents.follow([])
+
+
+async def test_an_agent_is_found_again_if_its_pod_has_another_address_after_its_node_restarted(agent: Agent) -> None:
+    client, agents = connections()
+    await keep(client, b"second")
+    agents.follow([replace(INSTANCE, ip="127.0.0.77")])
+    await asyncio.sleep(0.1)
+    assert agents.status(INSTANCE) is None, "nobody listens there"
+    agents.follow([INSTANCE])
+    await eventually(lambda: agents.status(INSTANCE) is not None)
     agents.follow([])
 
 

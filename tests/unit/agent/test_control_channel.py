@@ -1,0 +1,124 @@
+"""Requests that the network or a stalled process has held back."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Mapping
+from typing import Any
+
+import pytest
+
+from understudy.agent.control_channel import ControlChannel, Operation, Peer
+from understudy.api.protocol import agent_messages as wire
+from understudy.api.protocol.agent_messages import AgentStatus, GateEpoch
+from understudy.kube.agent_client import AgentGone, AgentLink
+
+TOKEN = b"secret"
+
+
+class Agent:
+    """An agent that counts what it carries out."""
+
+    def __init__(self) -> None:
+        self.version, self.carried_out = 0, 0
+        self.port = 0
+
+    def greeting(self) -> Mapping[str, str]:
+        return {"pod": "robot-1", "uid": "1"}
+
+    def token(self) -> bytes:
+        return TOKEN
+
+    def refuses(self, workload: str, claim: str) -> str | None:
+        return None
+
+    def outdated(self, epoch: GateEpoch) -> str | None:
+        return None
+
+    def status(self) -> AgentStatus:
+        return AgentStatus()
+
+    async def changed(self, version: int) -> None:
+        await asyncio.Event().wait()
+
+    def operations(self) -> Mapping[str, Operation]:
+        async def probe(body: Mapping[str, Any], peer: Peer) -> None:
+            self.carried_out += 1
+
+        return {"probe": probe}
+
+
+class Monitor:
+    """A monitor's side of a session, which sends what the test says."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._reader, self._writer = reader, writer
+
+    @classmethod
+    async def of(cls, port: int) -> Monitor:
+        made = cls(*await asyncio.open_connection("127.0.0.1", port))
+        greeting = await made.receive()
+        made._send({"workload": "robot", "claim": "", "mac": wire.mac(TOKEN, greeting["nonce"], "robot", "")})
+        return made
+
+    async def receive(self) -> dict[str, Any]:
+        return wire.decode(await self._reader.readline())
+
+    def _send(self, message: Mapping[str, Any]) -> None:
+        self._writer.write(wire.encode(message))
+
+    async def status(self) -> int:
+        """The number of the next status."""
+        while "status" not in (message := await self.receive()):
+            pass
+        return int(message["number"])
+
+    async def ask(self, **words: Any) -> dict[str, Any]:
+        self._send({"id": 1, "op": "probe", **words})
+        while "id" not in (message := await self.receive()):
+            pass
+        return message
+
+
+@pytest.fixture
+async def agent(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Agent]:
+    monkeypatch.setattr(wire, "FRESH", 0.3)
+    monkeypatch.setattr(wire, "STATUS_PERIOD", 0.05)
+    served = Agent()
+    server = await ControlChannel(served).serve(0, host="127.0.0.1")
+    served.port = server.sockets[0].getsockname()[1]
+    yield served
+    server.close()
+
+
+async def test_a_request_is_not_carried_out_if_its_sender_saw_nothing_of_the_agent_for_long(agent: Agent) -> None:
+    monitor = await Monitor.of(agent.port)
+    seen = await monitor.status()
+    assert (await monitor.ask(seen=seen))["ok"]
+    await asyncio.sleep(wire.FRESH + 0.1)
+    refused = await monitor.ask(seen=seen)
+    assert refused["heldBack"]
+    assert "more than 0.3 s" in refused["error"]
+    assert agent.carried_out == 1
+    assert (await monitor.ask(seen=await monitor.status()))["ok"], "it may be sent again"
+
+
+async def test_a_monitor_of_an_earlier_version_does_not_say_what_it_has_seen(agent: Agent) -> None:
+    monitor = await Monitor.of(agent.port)
+    await asyncio.sleep(wire.FRESH + 0.1)
+    assert (await monitor.ask())["ok"]
+
+
+async def test_a_request_that_was_held_back_counts_as_one_that_was_lost(
+    agent: Agent, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    link = AgentLink("127.0.0.1", agent.port, TOKEN, "robot", "")
+    try:
+        await link.wait_connected(5)
+        await link.request("probe", {})
+        monkeypatch.setattr(wire, "FRESH", -1.0)
+        with pytest.raises(AgentGone, match="what its sender had seen last"):
+            await link.request("probe", {})
+    finally:
+        await link.close()
+    assert agent.carried_out == 1
