@@ -17,6 +17,7 @@ from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.clock import CLOCK
 from understudy.failover import switchover
 from understudy.failover.decide import Activate, Decision, Hold, Recover, SwitchOver, Trigger, Wait
+from understudy.failover.interfaces import NoLongerNeeded
 from understudy.failover.progress import Progress
 from understudy.failover.strategies.base import StrategyContext
 from understudy.failover.switchover import Preparation
@@ -209,11 +210,22 @@ class MonitorLoop:
                 return
             await self._senses.agents.settle(self._pods.of_workload(), SETTLE)
             if interrupted.switchover is None:
-                await self.carry_out(interrupted)
+                await self._continue(interrupted)
             elif interrupted.result != "Running" or switchover.committed(interrupted, self.decide.options.context()):
                 self.conclude(await self.act.switchovers.carry_out(Preparation(interrupted)))
         elif (done := interrupted_recovery.concluded(gate, self._notices.status)) is not None:
             self.decide.limits.retries.note(done)
+
+    async def _continue(self, interrupted: Progress) -> None:
+        """Continue a recovery that another monitor began, unless that has changed nothing yet and the instance is healthy again."""
+        policy = self._view.policy
+        if policy is not None and self._gate.would_fence(interrupted):
+            self.act.get_ready(policy)
+            if await self.judge.reassessment.hears(interrupted, SETTLE):
+                words = f"{interrupted.failed[0].name} has been healthy again since the monitor ended that wanted to fence it"
+                self.conclude(self.act.recoveries.abandoned(interrupted, NoLongerNeeded(words)))
+                return
+        await self.carry_out(interrupted)
 
     async def _take_over(self, progress: Progress) -> bool:
         """Name this monitor as the one that carries out a recovery. Returns False if another writer was first, or an error ended it."""

@@ -1,7 +1,7 @@
-"""Judges the failed instance again while the first commit of its recovery is delayed.
+"""Judges the failed instance again before the first commit of its recovery, if that is delayed.
 
 A monitor that is cut off from the robot sees silence. If it is cut off from the API server too, its commit arrives later, when the
-instance may have driven the robot the whole time.
+instance may have driven the robot the whole time. The same holds if that monitor ends before its commit, and the next one continues.
 """
 
 from __future__ import annotations
@@ -32,8 +32,7 @@ class Reassessment:
     @asynccontextmanager
     async def during(self, progress: Progress) -> AsyncIterator[None]:
         """Observe the failed instance until the recovery has fenced it."""
-        nothing_failed = progress.planned or progress.switchover is not None or bool(progress.follows)
-        if nothing_failed or progress.taken_over is not None or not progress.failed:
+        if not _fences_a_failure(progress):
             yield
             return
         observing = asyncio.create_task(self._observe(progress, time.monotonic()))
@@ -41,6 +40,19 @@ class Reassessment:
             yield
         finally:
             observing.cancel()
+
+    async def hears(self, progress: Progress, within: float) -> bool:
+        """Listen for ``within`` seconds. Returns whether the instance that an earlier monitor decided to fence is healthy."""
+        if not _fences_a_failure(progress):
+            return False
+        failed, began = progress.failed[0], time.monotonic()
+        while (age := time.monotonic() - began) < within:
+            self._observer.drain(self._fleet.of_workload(), failed.name)
+            now = time.time()
+            if self._lives(failed) and self._observer.verdict(now=now, since=now - age).state == "Healthy":
+                return True
+            await asyncio.sleep(PERIOD)
+        return False
 
     async def _observe(self, progress: Progress, decided: float) -> None:
         failed = progress.failed[0]
@@ -57,9 +69,19 @@ class Reassessment:
 
         A lost pod stays failed, and so does one whose process is another since then: its state is lost.
         """
-        pod, now = self._fleet.find(failed.uid), time.time()
-        if pod is None or pod.leaving or not pod.running or self._observer.new_process(pod.name, since=now - age):
-            return False
-        if self._unseen_restart.onset(pod, now) is not None:
+        now = time.time()
+        if not self._lives(failed) or self._observer.new_process(failed.name, since=now - age):
             return False
         return self._observer.verdict(now=now, since=now - age).state == "Healthy"
+
+    def _lives(self, failed: PodIdentity) -> bool:
+        pod = self._fleet.find(failed.uid)
+        if pod is None or pod.leaving or not pod.running:
+            return False
+        return self._unseen_restart.onset(pod, time.time()) is None
+
+
+def _fences_a_failure(progress: Progress) -> bool:
+    """Whether a recovery begins by fencing an instance that failed, and by nothing else."""
+    nothing_failed = progress.planned or progress.switchover is not None or bool(progress.follows)
+    return not nothing_failed and progress.taken_over is None and bool(progress.failed)

@@ -14,7 +14,9 @@ from tests.unit.monitor.cluster_objects import policy_of
 from tests.unit.monitor.monitors import GivenMonitor
 from understudy.failover.decide import Recover, Trigger
 from understudy.failover.interfaces import GateState, Instance
+from understudy.failover.journal import Journal
 from understudy.failover.progress import PodIdentity, Progress
+from understudy.monitor import loop
 from understudy.monitor.decide.stage import Resolution
 from understudy.monitor.judge import reassessment
 from understudy.monitor.judge.failure_detection import Failure
@@ -69,9 +71,9 @@ def monitor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> CutOff:
 
 def later(monitor: CutOff, verdict: Verdict, *, seconds: float = 0.4) -> None:
     """The robot is heard again after this time, and the API server answers 0.2 s later."""
-    loop = asyncio.get_running_loop()
-    loop.call_later(seconds, setattr, monitor.observer, "health", verdict)
-    loop.call_later(seconds + 0.2, monitor.answers, True)
+    running = asyncio.get_running_loop()
+    running.call_later(seconds, setattr, monitor.observer, "health", verdict)
+    running.call_later(seconds + 0.2, monitor.answers, True)
 
 
 async def test_an_instance_that_is_healthy_again_is_neither_fenced_nor_deleted(monitor: CutOff) -> None:
@@ -91,9 +93,9 @@ async def test_an_instance_that_is_heard_again_a_moment_after_the_api_server_is_
     monitor: CutOff, phase: float
 ) -> None:
     """As if one link to both of them was cut."""
-    loop = asyncio.get_running_loop()
-    loop.call_later(0.7 + phase, monitor.answers, True)
-    loop.call_later(0.73 + phase, setattr, monitor.observer, "health", HEALTHY)
+    running = asyncio.get_running_loop()
+    running.call_later(0.7 + phase, monitor.answers, True)
+    running.call_later(0.73 + phase, setattr, monitor.observer, "health", HEALTHY)
     await monitor.recover()
     assert monitor.objects.gate.state.active == ACTIVE.name
 
@@ -137,3 +139,22 @@ async def test_a_recovery_that_has_committed_goes_on(monitor: CutOff) -> None:
         assert progress.healthy_again
         await monitor.objects.gate.commit(None, progress)
     assert monitor.fenced
+
+
+@pytest.mark.parametrize(("verdict", "is_fenced"), [(HEALTHY, False), (FAILED, True)])
+async def test_a_monitor_that_continues_a_recovery_listens_before_it_fences(
+    monitor: CutOff, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verdict: Verdict, is_fenced: bool
+) -> None:
+    """The monitor that decided it ended before the gate was switched, and its decision may be old."""
+    monkeypatch.setattr(loop, "SETTLE", 0.2)
+    failed = [PodIdentity(name=ACTIVE.name, uid=ACTIVE.uid)]
+    decided = Progress.begin("no /cmd_vel", last_healthy=time.time() - 20, detected=time.time() - 19, failed=failed)
+    Journal(tmp_path / "recovery.json").save(decided)
+    monitor.answers(True)
+    monitor.observer.health = verdict
+    resuming = asyncio.create_task(monitor.loop.resume())
+    await asyncio.sleep(0.8)
+    resuming.cancel()
+    await asyncio.gather(resuming, return_exceptions=True)
+    assert monitor.fenced == is_fenced
+    assert ("RecoveryNotNeeded" in monitor.objects.notices.reasons) != is_fenced

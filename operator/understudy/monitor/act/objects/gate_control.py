@@ -228,6 +228,11 @@ class GateControl:
         if progress is not None and progress.healthy_again and self._fences_first(record, progress):
             raise NoLongerNeeded(f"{record.active} has been healthy again since the API server could not be reached")
 
+    def would_fence(self, progress: Progress) -> bool:
+        """Whether the next commit of a recovery would begin it by fencing the instance that failed."""
+        record = self.record
+        return record is not None and self._fences_first(record, progress)
+
     def _fences_first(self, record: GateRecord, progress: Progress) -> bool:
         """Whether a commit would begin a recovery by fencing the instance that failed."""
         if not progress.failed or record.active_uid != progress.failed[0].uid:
