@@ -48,6 +48,10 @@ lets an instance through that was fenced meanwhile, which no product on top of n
 LEAK_ENDS = 6.0
 """Seconds after the last command of a leaking instance until the gate is open again that was closed for it: 5 of silence, and a margin."""
 
+UNSEEN = "restarted while no monitor watched"
+RESTART_KNOWN = 120.0
+"""Seconds before a failover for a restart that no monitor saw, in which that had a reason: the kubelet reports it late."""
+
 NODE_LOST = {"node-power", "node-cut"}
 """The kinds of faults that take everything on a node."""
 
@@ -192,14 +196,14 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
         near = tuple(one.fault.number for one in theirs if one.overlaps(begin, at))
         found.violations.append(Violation(what, seen.name, at, text, near))
 
-    tampered = [one.begun for one in theirs if one.fault.kind in TAMPERED]
+    tampered = [(one.begun, one.ended) for one in theirs if one.fault.kind in TAMPERED]
 
     def undone(begin: float, end: float) -> bool:
-        moments = [moment for moment in tampered if moment <= begin + LAG and end <= moment + REPAIR]
-        found.repaired += [max(0.0, end - max(moments))] if moments else []
-        return bool(moments)
+        done = [last for first, last in tampered if first <= begin + LAG and end <= last + REPAIR]
+        found.repaired += [max(0.0, end - max(done))] if done else []
+        return bool(done)
 
-    leaked: list[tuple[float, float]] = []
+    leaked = list(closed_for_leaks(seen, injected))
 
     def is_late_network(begin: float, end: float, *pods: str) -> bool:
         behind = [moment for pod in pods if (moment := returned(seen.nodes.get(pod, ""), end, injected)) is not None]
@@ -298,7 +302,7 @@ def returned(node: str, at: float, injected: Sequence[Injected]) -> float | None
 def double_drives(
     commands: Sequence[Command], together: Sequence[Commit] = ()
 ) -> Iterator[tuple[float, float, tuple[str, str]]]:
-    """Yield from when to when commands of two instances took turns at the robot, and which two.
+    """Yield from when to when commands of two instances took turns at the robot, and which two: up to the last change of the sender.
 
     One change of the sender is a handover. ``together`` are the commits of a robot with a reflex: its reader itself may go back to the
     instance before while both are let through.
@@ -306,19 +310,24 @@ def double_drives(
     changes = [
         (a.received, b.received, (a.source, b.source))
         for a, b in pairwise(commands)
-        if a.source != b.source and not {a.source, b.source} <= set(_let_through(together, b.received))
+        if a.source != b.source and not _may_both_drive({a.source, b.source}, together, b.received)
     ]
     run: list[tuple[float, float, tuple[str, str]]] = []
     for change in [*changes, (math.inf, math.inf, ("", ""))]:
         if run and (change[0] - run[-1][1] > TOGETHER or set(change[2]) != set(run[-1][2])):
             if len(run) > 1:
-                yield run[0][0], run[-1][1], run[0][2]
+                yield run[0][0], run[-1][0], run[0][2]
             run = []
         run.append(change)
 
 
-def _let_through(commits: Sequence[Commit], at: float) -> tuple[str, ...]:
-    return next((commit.let_through for commit in reversed(commits) if commit.seen <= at), ())
+def _may_both_drive(pods: set[str], commits: Sequence[Commit], at: float) -> bool:
+    """Whether a commit that may have been in force at a moment lets both of two pods through."""
+    ends = [*(commit.seen for commit in commits[1:]), math.inf]
+    return any(
+        commit.earliest <= at <= end and pods <= set(commit.let_through)
+        for commit, end in zip(commits, ends, strict=False)
+    )
 
 
 def uncontrolled(commands: Sequence[Command], commits: Sequence[Commit]) -> Iterator[tuple[Command, float]]:
@@ -373,6 +382,23 @@ def stale(
             if old:
                 ages = [[switch - c.sent for c in part] for part in ([c for c in old if c not in stalled], stalled)]
                 yield pod, switch, ages[0], ages[1]
+
+
+def closed_for_leaks(seen: Seen, injected: Sequence[Injected]) -> Iterator[tuple[float, float]]:
+    """Yield the times in which the gate was closed because the network of a node that returned let a fenced instance through.
+
+    The monitor may hear that instance by test packets alone, before the robot hears it.
+    """
+    nodes = set(seen.nodes.values())
+    for before, closed, after in zip(seen.commits, seen.commits[1:], [*seen.commits[2:], None], strict=False):
+        is_recovery = any(
+            recovery.moments.get("detected", math.inf) - LAG <= closed.seen <= recovery.moments.get("routed", 0.0)
+            for recovery in seen.recoveries
+        )
+        if closed.let_through or not before.let_through or is_recovery:
+            continue
+        if any(returned(node, closed.seen, injected) is not None for node in nodes):
+            yield closed.earliest, (after.seen if after is not None else math.inf) + LAG
 
 
 def gaps(
@@ -449,7 +475,8 @@ def rightness(recovery: Recovered, seen: Seen, injected: Sequence[Injected]) -> 
     detected = recovery.moments.get("detected")
     if detected is None:
         return "right"
-    if any(BY_NAME[i.fault.kind].disturbs and i.overlaps(detected - 2 * seen.timeout, detected) for i in injected):
+    before_it = RESTART_KNOWN if UNSEEN in recovery.reason else 2 * seen.timeout
+    if any(BY_NAME[i.fault.kind].disturbs and i.overlaps(detected - before_it, detected) for i in injected):
         return "right"
     before = [c.received for c in seen.commands if detected - 3 * seen.timeout <= c.received <= detected] + [detected]
     silent = max((b - a for a, b in pairwise(before)), default=math.inf)

@@ -107,6 +107,8 @@ class PublishedStatus:
             switchover=found.switchover,
             situation=found.situation,
             followed=tuple(found.dependencies or ()),
+            # The operator makes a deleted gate again at this epoch, so it must not go back.
+            gate=found.gate or GateStatus(),
             adopted=found.active or "",
             driven_epoch=found.gate.epoch if had_driven and found.gate is not None else None,
         )

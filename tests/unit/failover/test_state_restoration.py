@@ -74,6 +74,14 @@ async def test_commands_from_before_the_state_was_restored_expire_before_the_gat
     assert done.moments["committing"] - done.moments["started"] >= 0.2
 
 
+async def test_a_pod_that_restarts_after_it_received_the_state_receives_it_again() -> None:
+    made = store(pool="spare", held=True)
+    made.restarts = 1
+    done = await recover(failure(world := World(made)), [Choice(UninitializedFallback("spare"), 1.0)], world.context())
+    assert (done.result, made.restored) == ("Recovered", 2)
+    assert recorded(done) == EXPECTED
+
+
 async def test_a_restarted_pod_receives_the_state() -> None:
     made = store()
     done = await recover(failure(world := World(made)), [Choice(Restart(), 0.5)], world.context())

@@ -77,6 +77,10 @@ class Store:
     kept: KeptState = field(default_factory=KeptState)
     """What was kept of the instance that failed."""
     kept_states: dict[str, KeptState] = field(default_factory=dict)
+    restored: int = 0
+    """How often state was restored."""
+    restarts: int = 0
+    """How often a pod restarts as soon as its state was restored."""
     """State by the name of the pod that was given it."""
     workload: str = "w"
     priority: int = 0
@@ -339,6 +343,9 @@ class _Agents(_Part):
     async def restore(self, instance: Instance, state: KeptState, within: float) -> RestoreReport:
         self.world.effect()
         self._assert_behind_the_gate(instance, "state was given")
+        self.store.restored += 1
+        if self.store.restored <= self.store.restarts:
+            self.store.pods[instance.name] = replace(instance, restarts=self.store.restored)
         self.store.kept_states[instance.name] = state
         self.world.effect()
         if self.store.refusal:

@@ -106,14 +106,15 @@ async def open_for(target: Instance, progress: Progress, context: StrategyContex
         # written in the next.
         for _ in range(2):
             await asyncio.sleep(0)
-        for instance in context.instances.of_workload():
-            if instance.uid != target.uid:  # a standby may leak too; without a burst it sends one probe a second
-                await context.agents.probe(instance, PROBE_SECONDS)
         context.save(progress)
         await committing
     finally:
         committing.cancel()
     progress.moments["committed"] = context.clock()
+    # Not before the commit, since bursts take processor time that the switch needs.
+    for instance in context.instances.of_workload():
+        if instance.uid != target.uid:  # a standby may leak too; without a burst it sends one probe a second
+            await context.agents.probe(instance, PROBE_SECONDS)
 
 
 async def start_answered(target: Instance, context: StrategyContext, *, within: float) -> None:
@@ -164,20 +165,30 @@ async def bring_up_and_open(
     Restoring state, running the procedure and waiting for its outputs are the paper's t_re-initialization. ``end`` is the end of the
     strategy's time, by the clock of the event loop.
     """
-    await give_state_and_bring_up(target, progress, context, recovery, end=end)
-    given = context.clock()
-    if target.has_agent:
-        try:
-            # An application may need a response of the robot before it publishes: half the time is left for opening the gate first.
-            async with asyncio.timeout(max(MOMENT, (end - loop_time()) / 2)):
-                ready = await context.agents.ready(target)
-            progress.moments["ready"] = ready
-        except TimeoutError:
-            ready = context.clock()
-        progress.charge("reinitialization", ready)
+    while True:
+        restarts = _restarts(target, context)
+        await give_state_and_bring_up(target, progress, context, recovery, end=end)
+        given = context.clock()
+        if target.has_agent:
+            try:
+                # An application may need a response of the robot before it publishes: half the time is left for opening the gate first.
+                async with asyncio.timeout(max(MOMENT, (end - loop_time()) / 2)):
+                    ready = await context.agents.ready(target)
+                progress.moments["ready"] = ready
+            except TimeoutError:
+                ready = context.clock()
+            progress.charge("reinitialization", ready)
+        if _restarts(target, context) == restarts:
+            break
+        _logger.info("%s has restarted since it was given its state: it is given again", target.name)
     await _expired(given, progress, context)
     await open_for(target, progress, context)
     await wait_enforced(target, progress, context)
+
+
+def _restarts(target: Instance, context: StrategyContext) -> int:
+    """How often the containers of an instance have restarted: their state is lost then."""
+    return next((i.restarts for i in context.instances.of_workload() if i.uid == target.uid), 0)
 
 
 async def _expired(given: float, progress: Progress, context: StrategyContext) -> None:

@@ -130,9 +130,9 @@ class FailureDetector:
             status = self._agents.status(active)
             if status is not None and status.ready_at is not None and not status.ready:
                 # The agent heard the outputs while no monitor did. This one may have heard them before ``since``, as before a recovery
-                # that was given up.
-                signs = [status.ready_at, last_well, *(o.last for o in status.outputs.values())]
-                onset = min(now, max(sign for sign in signs if sign is not None))
+                # that was given up. If nobody did, as after the restart of both, all that an earlier monitor kept is from before.
+                heard = [sign for sign in (last_well, *(o.last for o in status.outputs.values())) if sign is not None]
+                onset = min(now, max(status.ready_at, *heard)) if heard else now
                 return Verdict("Failed", status.reason, verdict.leaf, onset)
         return verdict
 

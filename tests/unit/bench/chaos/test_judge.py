@@ -85,6 +85,21 @@ def test_the_gate_may_be_closed_for_a_while_if_the_network_of_a_node_that_return
     assert found([]) == ["gap"]
 
 
+def test_the_gate_may_be_closed_for_an_instance_on_a_returned_node_that_only_test_packets_reach_the_monitor_from() -> (
+    None
+):
+    cut = replace(fault("node-cut", 10.02, 45.0), told="n3")
+    commands = log(drive("a", 1, 10), drive("b", 10.6, 46.2), drive("b", 52.0, 60))
+    commits = [Commit(0.0, 1, ("a",)), Commit(10.6, 2, ("b",)), Commit(46.3, 3, ()), Commit(51.9, 4, ("b",))]
+
+    def found(node: str) -> list[str]:
+        nodes = {"a": node, "b": "n2"}
+        return whats(judged(commands, cut, commits=commits, recoveries=[recovery(10.5, 10.6)], nodes=nodes))
+
+    assert found("n3") == []
+    assert found("n1") == ["gap"]
+
+
 def test_a_clean_handover_of_a_killed_instance_has_no_violation() -> None:
     found = judged(log(drive("a", 1, 10), drive("b", 10.61, 20)), KILLED, recoveries=[recovery(10.5, 10.6)])
     assert whats(found) == []

@@ -287,6 +287,22 @@ async def test_an_edited_gate_is_restored_during_a_recovery(tmp_path: Path) -> N
     running.cancel()
 
 
+async def test_the_status_has_the_epoch_of_a_commit_while_the_recovery_goes_on(tmp_path: Path) -> None:
+    """The operator makes a deleted gate again at this epoch."""
+    driven = Driven(tmp_path, FORMER)
+    driven.objects.put_policy(policy_of({"type": "Restart"}))
+    driven.objects.client.store(REPLICA_SETS, "fleet", {"metadata": {"name": "w"}, "spec": {"replicas": 1}})
+    driven.observer.health = Verdict("Failed", "no /cmd_vel for 500 ms", "", time.time())
+    running = asyncio.create_task(driven.monitor.loop.run())
+    async with asyncio.timeout(5):
+        while not driven.objects.gate.state.closed:
+            await asyncio.sleep(0.01)
+    await asyncio.sleep(0)
+    epoch = driven.notices.status.gate.epoch
+    running.cancel()
+    assert epoch == driven.objects.gate.state.epoch > 1
+
+
 async def test_a_new_monitor_listens_before_it_opens_a_closed_gate(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -232,7 +232,7 @@ def test_an_instance_that_another_monitor_lets_through_has_the_whole_startup_gra
 @pytest.mark.parametrize(
     ("last_output", "in_the_pod", "onset"),
     [
-        (None, None, 900.0),
+        (None, None, 1000.0),
         (950.0, None, 950.0),
         (850.0, None, 900.0),
         (None, 960.0, 960.0),

@@ -13,7 +13,7 @@ from prometheus_client import REGISTRY
 from tests.support.golden import assert_golden
 from tests.support.notices import RecordedNotices
 from tests.unit.interleavings.apiserver import ApiServer
-from understudy.api.kinds.robot_workload import MonitorStatus
+from understudy.api.kinds.robot_workload import GateStatus, MonitorStatus
 from understudy.api.kinds.switchover_spec import SwitchoverStatus
 from understudy.api.kinds.task_spec import TaskStatus
 from understudy.failover.progress import PodIdentity, Progress
@@ -102,6 +102,13 @@ async def test_a_new_monitor_knows_the_last_planned_recovery_and_the_conditions_
     assert degraded is not None
     assert (degraded.status, degraded.message) == ("True", "/scan at 8.6 Hz.")
     assert after.find("Recovering") is None
+
+
+async def test_a_new_monitor_does_not_take_the_epoch_of_the_gate_back_in_the_status() -> None:
+    """The operator makes a deleted gate again at this epoch, and agents refuse an older one."""
+    before = Notices()
+    before.set(gate=GateStatus(epoch=7, active="w-1"))
+    assert PublishedStatus.adopt({"status": before.status.to_wire()}).gate.epoch == 7
 
 
 async def test_tasks_with_active_goals_are_reported() -> None:

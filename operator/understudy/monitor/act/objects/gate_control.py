@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pydantic import ValidationError
 
 from understudy.api import names
+from understudy.api.kinds.robot_workload import GateStatus
 from understudy.clock import CLOCK
 from understudy.failover import pinned
 from understudy.failover.abandoned import AbandonedRecovery, ended
@@ -164,7 +165,9 @@ class GateControl:
         self._view.gates.put(gate)
         self._own = (self._own[0], previous.epoch + 1, recovery)
         self._crash_points.step("after commit")
-        return self.state
+        state = self.state
+        self._notices.set(gate=GateStatus(epoch=state.epoch, active=state.active))
+        return state
 
     async def take_over(self, progress: Progress) -> bool:
         """Name this monitor in the record of a recovery for which another one closed the gate, before it is continued. Returns False if
