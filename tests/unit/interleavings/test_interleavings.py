@@ -20,6 +20,7 @@ from tests.unit.interleavings import network, simulation
 from tests.unit.interleavings.comparison import observed_alike, unconditional, without
 from tests.unit.interleavings.scenes import SCENES, Outcome, Scene
 from understudy.agent.agent_memory import AgentMemory
+from understudy.api.protocol import agent_messages
 from understudy.controller.reconcile.executor import Executor
 from understudy.controller.reconcile.expectations import Expectations
 from understudy.failover import protocol
@@ -89,9 +90,10 @@ def found(words: str, scene: Scene, *troubles: str, weather: float = 1.0, within
 def test_commands_of_a_monitor_that_was_replaced_are_detected() -> None:
     with (
         mock.patch.object(AgentMemory, "outdated", return_value=None),
+        mock.patch.object(agent_messages, "FRESH", math.inf),
         mock.patch.object(agent_connections, "CONFIRMED_FOR", math.inf),
     ):
-        assert found("later it carries out", INITIALIZED, "monitor_is_replaced", first=110)
+        assert found("later it carries out", INITIALIZED, "monitor_is_replaced", first=205)
 
 
 def test_a_claim_without_its_precondition_is_detected() -> None:

@@ -106,15 +106,14 @@ async def open_for(target: Instance, progress: Progress, context: StrategyContex
         # written in the next.
         for _ in range(2):
             await asyncio.sleep(0)
+        for instance in context.instances.of_workload():
+            if instance.uid != target.uid:  # a standby may leak too; without a burst it sends one probe a second
+                await context.agents.probe(instance, PROBE_SECONDS)
         context.save(progress)
         await committing
     finally:
         committing.cancel()
     progress.moments["committed"] = context.clock()
-    # Not before the commit, since bursts take processor time that the switch needs.
-    for instance in context.instances.of_workload():
-        if instance.uid != target.uid:  # a standby may leak too; without a burst it sends one probe a second
-            await context.agents.probe(instance, PROBE_SECONDS)
 
 
 async def start_answered(target: Instance, context: StrategyContext, *, within: float) -> None:

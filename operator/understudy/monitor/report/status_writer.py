@@ -37,12 +37,8 @@ QUIET = 0.25
 UNDER_WAY = 3.0
 """Maximum seconds that a change during a recovery waits for its end, so that both take one write. The record at the gate shows at once
 that a recovery is under way: the operator's storm guard and dependent workloads read that record. A recovery with a standby has a write
-to spare (docs/scale.md), so its begin is written soon after the first commit. It does not go before the commit.
+to spare (docs/scale.md), so its begin is written as soon as the first commit is made. It does not go before the commit.
 """
-
-LATER = 0.1
-"""Seconds that an Event, and the begin of a recovery after its first commit, wait: the API server and this process first do what a switch
-to a standby takes, which is one commit and the packets that prove it."""
 
 RETRY = 2.0  # seconds
 
@@ -102,24 +98,18 @@ class StatusWriter:
                 self._free.set()
             case GateCommitted() if self._begin_is_urgent:
                 self._begin_is_urgent = False
-                asyncio.get_running_loop().call_later(LATER, self._urge)
+                self._urgent.set()
+                self._free.set()
             case StatusAwaited():
-                self._urge()
-
-    def _urge(self) -> None:
-        self._urgent.set()
-        self._free.set()
+                self._urgent.set()
+                self._free.set()
 
     def _write_event(self, event: EventRaised) -> None:
         if self._reference:
-            task = asyncio.ensure_future(self._record(event))
+            record = self._recorder.warning if event.kind == "Warning" else self._recorder.normal
+            task = asyncio.ensure_future(record(self._reference, event.reason, event.message))
             self._background.add(task)
             task.add_done_callback(self._background.discard)
-
-    async def _record(self, event: EventRaised) -> None:
-        await asyncio.sleep(LATER)
-        record = self._recorder.warning if event.kind == "Warning" else self._recorder.normal
-        await record(self._reference, event.reason, event.message)
 
     def check(self, item: Object | None) -> None:
         """Write the status again if the watched object now has another one.
