@@ -141,13 +141,13 @@ class FailureDetector:
 
         Discovery takes a moment after the start, and the network of this monitor or of the instance may be down. If the discovery server
         has just restarted, it may report the robot long before the instance. A monitor without a writer of the instance knows nothing
-        about its silence.
+        about its silence, unless Kubernetes reports the pod as not ready, as on a node that is lost.
         """
         if self._driven_epoch is None:
             return
         if self._driven_epoch != self._gate.state.epoch:
             self._driven_epoch = None  # the gate was opened for another instance since, which is new
-        elif self._observer.discovered(active):
+        elif self._observer.discovered(active) or not active.ready:
             self._driven_epoch, self._heard_from = None, CLOCK.of_system(now)
             self._expect_samples(since)
 

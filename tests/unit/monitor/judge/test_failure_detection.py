@@ -196,6 +196,15 @@ def test_an_instance_that_is_never_discovered_has_the_startup_grace_from_the_sta
     assert judging.verdict(ACTIVE, start + 30.1).state == "Failed"
 
 
+def test_an_instance_that_is_not_discovered_and_not_ready_has_no_second_startup_grace() -> None:
+    """Its node is probably lost, so nobody can discover it."""
+    judging, _ = judging_silence({"gap": "500ms"}, driven_epoch=3, discovered=False)
+    start, lost = judging.since, replace(ACTIVE, ready=False)
+    assert judging.verdict(lost, start).state == "Starting"
+    assert judging.verdict(lost, start + 4.9).state == "Starting"
+    assert judging.verdict(lost, start + 5.1).state == "Failed"
+
+
 def test_an_instance_that_is_never_discovered_fails_as_soon_as_its_agent_reports_that_it_is_not_ready() -> None:
     status = AgentStatus("Running", ready_at=time.time() - 900, reason="its outputs are not healthy")
     observing = GivenObserver()
