@@ -107,7 +107,8 @@ def test_a_reader_of_the_robot_does_not_shorten_the_grace_of_an_instance_that_is
     observer: HealthObserver,
 ) -> None:
     """As after a restart of the discovery server, which may bring the robot back before the instance."""
-    objects, inherited = ClusterObjects(), Instance("w-1", "uid-1", ip=own_address(observer), running=True)
+    objects = ClusterObjects()
+    inherited = Instance("w-1", "uid-1", ip=own_address(observer), running=True, ready=True)
     objects.put_pods(inherited)
     objects.put_gate(GateState(epoch=3, active="w-1", active_uid="uid-1"))
     agents = GivenSenses(objects).agents
