@@ -375,13 +375,14 @@ def stale(
                 continue
             switch = min(after.seen, arrived[0].received, routed.get(after.epoch, math.inf))
             old = [c for c in arrived if switch - c.sent > period + DELIVERY]
-            sent = sorted(c.sent for c in commands if c.source == pod)
-            stalled = [
-                c for c in old if c.received - c.sent < STALL and not any(c.sent < at <= c.received for at in sent)
-            ]
+            sent = [c.sent for c in commands if c.source == pod]
+            ages: list[float] = []
+            stalled: list[float] = []
+            for c in old:
+                has_stalled = c.received - c.sent < STALL and not any(c.sent < at <= c.received for at in sent)
+                (stalled if has_stalled else ages).append(switch - c.sent)
             if old:
-                ages = [[switch - c.sent for c in part] for part in ([c for c in old if c not in stalled], stalled)]
-                yield pod, switch, ages[0], ages[1]
+                yield pod, switch, ages, stalled
 
 
 def closed_for_leaks(seen: Seen, injected: Sequence[Injected]) -> Iterator[tuple[float, float]]:

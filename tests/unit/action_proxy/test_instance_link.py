@@ -9,46 +9,26 @@ from typing import Any
 
 import pytest
 
+from tests.support.agents import IdleAgent
 from understudy.action_proxy.client_goals import AttemptState
 from understudy.action_proxy.control_state import Peer as Instance
 from understudy.action_proxy.goal_ledger import Order
 from understudy.action_proxy.instance_link import InstanceLink
 from understudy.agent.control_channel import ControlChannel, Operation, Peer, Refused
-from understudy.api.protocol.agent_messages import AgentStatus, GateEpoch
+from understudy.api.protocol.agent_messages import GateEpoch
 
-TOKEN = b"secret"
 FIRST, SECOND, THIRD = (f"{n:032x}" for n in (1, 2, 3))
 
 
-class Agent:
-    """The control channel of an agent, whose instance does nothing."""
+class Agent(IdleAgent):
+    """The control channel of an agent that notes its requests."""
 
     def __init__(self) -> None:
-        self.version = 0
+        super().__init__()
         self.asked: list[tuple[str, str]] = []
         self.known: list[dict[str, Any]] = []
         self.refused_action = ""
-        self.epochs: list[GateEpoch] = []
         self.sessions = ControlChannel(self)
-
-    def greeting(self) -> Mapping[str, str]:
-        return {"pod": "robot-1", "uid": "1"}
-
-    def token(self) -> bytes:
-        return TOKEN
-
-    def refuses(self, workload: str, claim: str) -> str | None:
-        return None
-
-    def outdated(self, epoch: GateEpoch) -> str | None:
-        self.epochs.append(epoch)
-        return None
-
-    def status(self) -> AgentStatus:
-        return AgentStatus()
-
-    async def changed(self, version: int) -> None:
-        await asyncio.Event().wait()
 
     def operations(self) -> Mapping[str, Operation]:
         async def goal(body: Mapping[str, Any], peer: Peer) -> None:
@@ -129,7 +109,7 @@ def recorder() -> LinkRecorder:
 async def link(agent: Agent, recorder: LinkRecorder) -> AsyncIterator[InstanceLink]:
     server = await agent.sessions.serve(0, host="127.0.0.1")
     port = server.sockets[0].getsockname()[1]
-    made = InstanceLink(Instance("1", "robot-1", "127.0.0.1", port, TOKEN.decode(), ""), "robot", recorder)
+    made = InstanceLink(Instance("1", "robot-1", "127.0.0.1", port, IdleAgent.secret.decode(), ""), "robot", recorder)
     yield made
     await made.close()
     server.close()

@@ -8,38 +8,18 @@ from typing import Any
 
 import pytest
 
+from tests.support.agents import IdleAgent
 from understudy.agent.control_channel import ControlChannel, Operation, Peer
 from understudy.api.protocol import agent_messages as wire
-from understudy.api.protocol.agent_messages import AgentStatus, GateEpoch
 from understudy.kube.agent_client import AgentGone, AgentLink
 
-TOKEN = b"secret"
 
-
-class Agent:
+class Agent(IdleAgent):
     """An agent that counts what it carries out."""
 
     def __init__(self) -> None:
-        self.version, self.carried_out = 0, 0
-        self.port = 0
-
-    def greeting(self) -> Mapping[str, str]:
-        return {"pod": "robot-1", "uid": "1"}
-
-    def token(self) -> bytes:
-        return TOKEN
-
-    def refuses(self, workload: str, claim: str) -> str | None:
-        return None
-
-    def outdated(self, epoch: GateEpoch) -> str | None:
-        return None
-
-    def status(self) -> AgentStatus:
-        return AgentStatus()
-
-    async def changed(self, version: int) -> None:
-        await asyncio.Event().wait()
+        super().__init__()
+        self.carried_out = self.port = 0
 
     def operations(self) -> Mapping[str, Operation]:
         async def probe(body: Mapping[str, Any], peer: Peer) -> None:
@@ -58,7 +38,9 @@ class Monitor:
     async def of(cls, port: int) -> Monitor:
         made = cls(*await asyncio.open_connection("127.0.0.1", port))
         greeting = await made.receive()
-        made._send({"workload": "robot", "claim": "", "mac": wire.mac(TOKEN, greeting["nonce"], "robot", "")})
+        made._send(
+            {"workload": "robot", "claim": "", "mac": wire.mac(IdleAgent.secret, greeting["nonce"], "robot", "")}
+        )
         return made
 
     async def receive(self) -> dict[str, Any]:
@@ -112,7 +94,7 @@ async def test_a_monitor_of_an_earlier_version_does_not_say_what_it_has_seen(age
 async def test_a_request_that_was_held_back_counts_as_one_that_was_lost(
     agent: Agent, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    link = AgentLink("127.0.0.1", agent.port, TOKEN, "robot", "")
+    link = AgentLink("127.0.0.1", agent.port, IdleAgent.secret, "robot", "")
     try:
         await link.wait_connected(5)
         await link.request("probe", {})

@@ -212,6 +212,9 @@ class _Instances(_Part):
     def of_workload(self) -> Sequence[Instance]:
         return [p for p in self.store.pods.values() if not p.held]
 
+    def find(self, uid: str) -> Instance | None:
+        return next((p for p in self.of_workload() if p.uid == uid), None)
+
     async def refresh_unclaimed(self, pool: str, *, part: bool = False) -> None:
         self.store.looks.append("part" if part else "all")
         await asyncio.sleep(0.001)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 
 import aiohttp
 import pytest
@@ -155,9 +155,8 @@ async def test_a_permanent_refusal_of_the_api_server_is_not_retried() -> None:
     assert [method for method, _, _ in client.requests] == ["POST"]
 
 
-async def test_a_request_is_repeated_until_it_is_answered_or_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(claims, "RETRY_FIRST", 0.001)
-    answers: list[Exception | str] = [TimeoutError(), ApiError(429, "TooManyRequests", "busy"), "pods"]
+def asking(answers: list[Exception | str]) -> Callable[[], Awaitable[str]]:
+    """A request that is answered with one after the other, or fails with it."""
 
     async def ask() -> str:
         answer = answers.pop(0)
@@ -165,6 +164,14 @@ async def test_a_request_is_repeated_until_it_is_answered_or_refused(monkeypatch
             raise answer
         return answer
 
+    return ask
+
+
+async def test_a_request_is_repeated_until_it_is_answered_or_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(claims, "RETRY_FIRST", 0.001)
+    answers: list[Exception | str] = [TimeoutError(), ApiError(429, "TooManyRequests", "busy"), "pods"]
+
+    ask = asking(answers)
     assert await claims.answered(ask) == "pods"
     answers[:] = [ApiError(403, "Forbidden", "no"), "pods"]
     with pytest.raises(ApiError):
@@ -179,7 +186,7 @@ def test_the_parts_of_a_pool_have_about_equal_sizes() -> None:
 
 
 async def test_a_server_that_does_not_know_roles_or_accounts_yet_is_asked_again() -> None:
-    answers: list[ApiError | str] = [
+    answers: list[Exception | str] = [
         ApiError(
             403,
             "Forbidden",
@@ -189,12 +196,7 @@ async def test_a_server_that_does_not_know_roles_or_accounts_yet_is_asked_again(
         "deleted",
     ]
 
-    async def ask() -> str:
-        answer = answers.pop(0)
-        if isinstance(answer, ApiError):
-            raise answer
-        return answer
-
+    ask = asking(answers)
     assert await claims.answered(ask) == "deleted"
     answers.append(ApiError(403, "Forbidden", "only pods of its own workload"))
     with pytest.raises(ApiError):

@@ -187,7 +187,8 @@ async def bring_up_and_open(
 
 def _restarts(target: Instance, context: StrategyContext) -> int:
     """How often the containers of an instance have restarted: their state is lost then."""
-    return next((i.restarts for i in context.instances.of_workload() if i.uid == target.uid), 0)
+    found = context.instances.find(target.uid)
+    return found.restarts if found is not None else 0
 
 
 async def _expired(given: float, progress: Progress, context: StrategyContext) -> None:
