@@ -162,7 +162,7 @@ async def _loss(progress: Progress, context: StrategyContext, *, crashing_counts
         uid, name = progress.target.uid, progress.target.name
         if "committed" in progress.moments:
             _assert_admitted(uid, name, context)
-        found = next((i for i in context.instances.of_workload() if i.uid == uid), None)
+        found = context.instances.find(uid)
         if found is not None and found.terminating:
             return f"pod {name} is being deleted"
         if found is not None and found.running:

@@ -131,7 +131,7 @@ async def settle(progress: Progress, context: StrategyContext) -> Progress:
     if progress.result == "Running":
         _still_ours(progress, context)
         uid = progress.target.uid if progress.target is not None else ""
-        target = next((i for i in context.instances.of_workload() if i.uid == uid), None)
+        target = context.instances.find(uid)
         if target is None or not await _is_observed(target, progress, context):
             return await _give_back(target, progress, context)
         if progress.former is not None:
@@ -172,7 +172,7 @@ async def _give_back(target: Instance | None, progress: Progress, context: Strat
     """Give the gate back to the former instance, and retire the understudy whose outputs did not arrive."""
     _still_ours(progress, context)
     uid = progress.former.uid if progress.former is not None else ""
-    former = next((i for i in context.instances.of_workload() if i.uid == uid), None)
+    former = context.instances.find(uid)
     pod = progress.target.name if progress.target is not None else ""
     words = f"{pod} is gone" if target is None else f"no output of {pod} arrived within {SEEN_WITHIN:g} s"
     strategy, progress.strategy, progress.result = progress.strategy, "", "Failed"

@@ -332,13 +332,18 @@ class MonitorLoop:
     async def _end_leaks(self) -> None:
         while True:
             await asyncio.sleep(PERIOD)  # first, since the last evaluation was just now and the recovery must not wait
-            self.act.labels.follow()
-            now = time.time()
-            self._drain()
-            self.judge.sole_driver.update(self._pods.of_workload(), now)
-            if self.decide.limits.pauses.on is None:
-                self.act.leaks.respond_during(self._senses.current, now)
-                await self.act.restore_routing()
+            try:
+                await self._end_leaks_now(time.time())
+            except Exception:
+                _logger.exception("ending leaks during a recovery")  # neither the recovery nor the next look ends with it
+
+    async def _end_leaks_now(self, now: float) -> None:
+        self.act.labels.follow()
+        self._drain()
+        self.judge.sole_driver.update(self._pods.of_workload(), now)
+        if self.decide.limits.pauses.on is None:
+            self.act.leaks.respond_during(self._senses.current, now)
+            await self.act.restore_routing()
 
     def _housekeeping(self) -> None:
         """Do the work that is not urgent. Returns at once."""

@@ -270,8 +270,17 @@ async def test_a_leak_of_the_failed_instance_is_ended_while_its_recovery_waits_f
     assert driven.graces == [("uid-1", 1)]
 
 
-async def test_an_edited_gate_is_restored_during_a_recovery(tmp_path: Path) -> None:
+async def test_an_edited_gate_is_restored_during_a_recovery(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also after a look for leaks that ended with an error."""
     driven = Driven(tmp_path, FORMER)
+    follow, failed = driven.monitor.loop.act.labels.follow, iter([True])
+
+    def failing_once() -> None:
+        if driven.objects.gate.state.closed and next(failed, False):
+            raise RuntimeError
+        follow()
+
+    monkeypatch.setattr(driven.monitor.loop.act.labels, "follow", failing_once)
     objects, kind = driven.objects, driven.objects.view.gate_kind
     objects.put_policy(policy_of({"type": "Restart"}))
     objects.client.store(REPLICA_SETS, "fleet", {"metadata": {"name": "w"}, "spec": {"replicas": 1}})

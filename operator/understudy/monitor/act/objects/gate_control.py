@@ -221,7 +221,7 @@ class GateControl:
         """Return the pods that the gate let through of late, with this one and those that leak, as JSON for its record; empty if there are
         none."""
         # The list lacks the active pod if an earlier version opened the gate for it.
-        active = next((i for i in self._fleet.of_workload() if i.uid == over.active_uid), None)
+        active = self._fleet.find(over.active_uid)
         named = [PinnedPod(name=i.name, uid=i.uid, ip=i.ip) for i in (target, active) if i is not None]
         pods = pinned.with_pods(pinned.read(over.let_through), *named, *leaking)
         return pinned.write(pods) if pods else ""
