@@ -78,7 +78,7 @@ class MonitorLoop:
             clock=CLOCK.now,
             save=parts.journal.save,
             workload_uid="",
-            kept=lambda onset: parts.state_manager.select(CLOCK.to_system(onset)),
+            kept=lambda onset: parts.state_manager.select_for_recovery(CLOCK.to_system(onset)),
         )
         self.observe = ObserveStage(cluster.view, senses, notices)
         kept_from = parts.state_manager.source

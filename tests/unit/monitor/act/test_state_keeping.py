@@ -113,6 +113,26 @@ async def test_kept_state_survives_a_restart_of_the_monitor(
     await monitor.until(outlasts)
 
 
+async def test_state_that_a_recovery_selects_is_stored_at_once(
+    monitor: Monitor, say: Callable[[float], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The monitor does its other work, as storing what is new, after the recovery only."""
+    say(1.0)
+    await monitor.until(lambda: monitor.x() == 1.0 and StateStore(tmp_path).load())
+    monkeypatch.setattr(monitor.state_manager, "_next_persist", float("inf"))
+    say(2.0)
+    await monitor.until(lambda: monitor.x() == 2.0)
+    onset, stored = time.time(), StateStore(tmp_path).load()
+    kept = monitor.state_manager.select_for_recovery(onset)
+    async with asyncio.timeout(10):
+        while StateStore(tmp_path).load() == stored:
+            await asyncio.sleep(0.02)
+    with next_monitor(tmp_path) as later:
+        later.health = "Starting"
+        later.state_manager.take(STATE, {}, "w-1")
+        assert later.state_manager.select(onset) == kept
+
+
 @pytest.mark.parametrize(("max_age", "useless"), [("1m", False), ("5s", True)])
 async def test_a_new_monitor_knows_whether_the_kept_state_can_still_be_restored(
     graph: Graph, tmp_path: Path, max_age: str, useless: bool

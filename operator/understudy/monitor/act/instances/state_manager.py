@@ -194,6 +194,11 @@ class StateManager:
             self._take_odometry(time.monotonic())
         return self._carrier.carry(self._keeper.select(onset), time.time())
 
+    def select_for_recovery(self, onset: float) -> KeptState:
+        """Return the same as :meth:`select`, and store it at once: if this monitor ends, the next one restores the same state."""
+        self._persist(time.monotonic(), at_once=True)
+        return self.select(onset)
+
     def report_restored(self, recovery: Recovery) -> None:
         """Report what happened to the state in a recovery."""
         if not recovery.state:
@@ -257,11 +262,11 @@ class StateManager:
             self._report(now)
         self._keep_up(waiting, now)
 
-    def _persist(self, now: float) -> None:
+    def _persist(self, now: float, *, at_once: bool = False) -> None:
         busy = self._persisting is not None and not self._persisting.done()
         source = self.source
         revision = (self._keeper.revision + self._carrier.revision, source)
-        if busy or now < self._next_persist or revision == self._persisted or self._adopted:
+        if busy or (now < self._next_persist and not at_once) or revision == self._persisted or self._adopted:
             return
         self._next_persist = now + PERSIST
         kept = self._keeper.versions()
