@@ -7,6 +7,7 @@ import dataclasses
 import logging
 import os
 import re
+import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ from understudy.agent.agent_memory import AgentMemory
 from understudy.agent.control_channel import Operation, Peer, Refused
 from understudy.agent.held_containers import HeldContainers
 from understudy.agent.instance_health import HealthPlan, InstanceHealth
+from understudy.agent.network_interfaces import FurtherInterfaces
 from understudy.agent.pod_identity import PodIdentity
 from understudy.agent.readiness import StandbyExpectation, StandbyReadiness
 from understudy.agent.restoration.procedure_runner import InstanceActions, ProcedureRunner
@@ -45,6 +47,7 @@ class Agent:
         self._holds.prepare()
         self._memory = AgentMemory.load(identity.directory)
         self._strengths = WriterStrengths(identity.directory)
+        self._interfaces = FurtherInterfaces(identity.ip)
         self.isolation = isolation.Isolation(
             identity.directory,
             identity.fenced or isolation.built(identity.directory, identity.held),
@@ -167,6 +170,7 @@ class Agent:
             strength=self._strengths.range,
             cut_off=self.isolation.since,
             unfenced=self.isolation.unfenced,
+            further_interfaces=self._interfaces.seen(time.monotonic()),
         )
 
     @property

@@ -26,6 +26,8 @@ class PodIdentity:
     """Containers whose application can be frozen while the pod is isolated."""
     unfenced: tuple[str, ...] = ()
     """Containers whose application should be frozen then, but cannot be."""
+    ip: str = ""
+    """The address in the pod's status."""
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str]) -> PodIdentity:
@@ -48,6 +50,7 @@ class PodIdentity:
             token_file=Path(environment.get("UNDERSTUDY_TOKEN_FILE", f"{names.SECRET_DIR}/token")),
             fenced=tuple(environment.get(names.FENCED_VARIABLE, "").split()),
             unfenced=tuple(environment.get(names.UNFENCED_VARIABLE, "").split()),
+            ip=environment.get("UNDERSTUDY_POD_IP", ""),
         )
 
     def token(self) -> bytes:

@@ -13,7 +13,8 @@ from understudy.api.protocol.agent_messages import AgentStatus, OutputCount, Pro
 from understudy.kube.agent_client import AgentGone, AgentLink, AgentRefused
 
 TOKEN = b"token"
-STATUS = AgentStatus("Running", True, "", 1.0, 2.0, 3.0, True, {"/cmd_vel": OutputCount(5, 4.0)})
+OUTPUTS, INTERFACES = {"/cmd_vel": OutputCount(5, 4.0)}, {"net1": ("192.168.7.2", "fd12::2")}
+STATUS = AgentStatus("Running", True, "", 1.0, 2.0, 3.0, True, OUTPUTS, further_interfaces=INTERFACES)
 
 
 class Agent:
@@ -90,7 +91,15 @@ def test_a_status_is_unchanged_by_encoding_and_decoding():
     assert AgentStatus.from_wire({"phase": "Held", "ready": False, "newer": 1}) == AgentStatus()
 
 
-@pytest.mark.parametrize("data", [{}, {"phase": "Held"}, {"phase": "Held", "ready": 1, "outputs": {"/x": 1}}])
+@pytest.mark.parametrize(
+    "data",
+    [
+        {},
+        {"phase": "Held"},
+        {"phase": "Held", "ready": 1, "outputs": {"/x": 1}},
+        {"phase": "Held", "ready": 1, "furtherInterfaces": ["net1"]},
+    ],
+)
 def test_an_invalid_status_is_refused(data):
     with pytest.raises(ProtocolError, match="not a status"):
         AgentStatus.from_wire(data)

@@ -161,6 +161,8 @@ class AgentStatus:
     """Since when the application is held because nobody answered. None while it runs."""
     unfenced: str = ""
     """Why the application could not be held if the pod were cut off. Empty if it could, or if that is not needed."""
+    further_interfaces: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """By the name of each network interface besides that of the pod network: its addresses. Agents before version 0.3 report none."""
 
     def to_wire(self) -> dict[str, Any]:
         """Return the message for the wire."""
@@ -179,6 +181,7 @@ class AgentStatus:
             **({"strength": list(self.strength)} if self.strength else {}),
             **({"cutOff": self.cut_off} if self.cut_off is not None else {}),
             **({"unfenced": self.unfenced} if self.unfenced else {}),
+            **({"furtherInterfaces": dict(self.further_interfaces)} if self.further_interfaces else {}),
         }
 
     @classmethod
@@ -206,6 +209,10 @@ class AgentStatus:
                 strength=(int(strength[0]), int(strength[1])) if strength else None,
                 cut_off=float(data["cutOff"]) if data.get("cutOff") is not None else None,
                 unfenced=str(data.get("unfenced") or ""),
+                further_interfaces={
+                    name: tuple(str(address) for address in addresses)
+                    for name, addresses in (data.get("furtherInterfaces") or {}).items()
+                },
             )
         except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
             raise ProtocolError(f"not a status: {error!r} in {data!r:.200}") from error

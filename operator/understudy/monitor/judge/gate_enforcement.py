@@ -1,5 +1,5 @@
-"""Judges whether the gate is enforced: by the cluster's network, from the probes that pass the gate (api.names.PROBE_PORT), and at
-the robot's readers (robot_readers.py).
+"""Judges whether the gate is enforced: by the cluster's network, from the probes that pass the gate (api.names.PROBE_PORT), at
+the robot's readers (robot_readers.py), and on every network interface of the instances (pod_interfaces.py).
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from understudy.clock import CLOCK
 from understudy.failover.interfaces import Gate, Instance
 from understudy.kube.gates.base import Proof
 from understudy.monitor.notices import ConditionReport, Notices
+from understudy.monitor.observe.pod_interfaces import FURTHER
 from understudy.monitor.observe.robot.reader_ports import UNGATED
 
 SETTLE = 3.0
@@ -100,11 +101,19 @@ class Readers(Protocol):
         """The readers of the robot that the gate does not control, as a sentence; empty if there are none."""
 
 
+class Interfaces(Protocol):
+    """The network interfaces of the instances, as far as a gate depends on them."""
+
+    def further(self) -> str:
+        """Return the interfaces that the gate does not control, as sentences; empty if there are none."""
+
+
 class GateEnforcement:
     """Judges and reports whether the gate of one workload is enforced. Times are Unix seconds."""
 
-    def __init__(self, gate: Gate, probes: Proof, notices: Notices, readers: Readers) -> None:
-        self._gate, self._probes, self._notices, self._readers = gate, probes, notices, readers
+    def __init__(self, gate: Gate, probes: Proof, notices: Notices, readers: Readers, interfaces: Interfaces) -> None:
+        self._gate, self._probes, self._notices = gate, probes, notices
+        self._readers, self._interfaces = readers, interfaces
         self._changed = CLOCK.now()
         """When the gate last let other pods through than before, by the process's clock."""
         self._let_through = ("", "")
@@ -117,7 +126,7 @@ class GateEnforcement:
             self._changed = CLOCK.of_system(now)
 
     def judge(self, instances: Sequence[Instance]) -> ConditionReport:
-        """Judge the gate by the probes of these instances, and by the robot's readers."""
+        """Judge the gate by the probes of these instances, by the robot's readers, and by the interfaces of all instances."""
         state = self._gate.state
         last = {i.uid: found for i in instances if (found := self._probes.last(i.uid)) is not None}
         judged = judge(
@@ -130,9 +139,12 @@ class GateEnforcement:
             leak_hint=self._probes.leak_hint,
             block_hint=self._probes.block_hint,
         )
-        if judged[0] != "False" and judged[1] != "Settling" and (ungated := self._readers.ungated):
+        further = self._interfaces.further()
+        if judged[0] == "False" or judged[1] == "Settling":
+            return judged
+        if ungated := self._readers.ungated:
             return "False", UNGATED, ungated
-        return judged
+        return ("False", FURTHER, further) if further else judged
 
     def report(self, judged: ConditionReport) -> None:
         """Report the judgement, unless the gate cannot be tested at the moment."""

@@ -19,6 +19,7 @@ from understudy.monitor.judge.sole_driver import SoleDriver
 from understudy.monitor.judge.unseen_restart import UnseenRestart
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.objects.cluster_view import ClusterView
+from understudy.monitor.observe.pod_interfaces import PodInterfaces
 from understudy.monitor.observe.senses import Senses
 from understudy.state.state_store import StateSource
 from understudy.trees.core.health_tree import Verdict
@@ -72,7 +73,8 @@ class JudgeStage:
         self.situations = SituationTracking(senses.observer, notices)
         self.unseen_restart = UnseenRestart(senses.observer, kept_from)
         self.reassessment = Reassessment(pods, senses.observer, self.unseen_restart)
-        self.enforcement = GateEnforcement(gate, senses.probes, notices, senses.readership)
+        interfaces = PodInterfaces(pods, senses.agents)
+        self.enforcement = GateEnforcement(gate, senses.probes, notices, senses.readership, interfaces)
         self.sole_driver = SoleDriver(gate, senses.probes, senses.observer, notices)
 
     def judge(self, policy: FailurePolicySpec, now: float, trusted_from: float) -> Judgement:

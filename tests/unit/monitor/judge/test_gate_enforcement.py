@@ -23,6 +23,16 @@ class Readers:
     ungated: str = ""
 
 
+@dataclass
+class Interfaces:
+    """A sentence about the further interfaces of instances."""
+
+    sentence: str = ""
+
+    def further(self) -> str:
+        return self.sentence
+
+
 def instance(name: str, **values: object) -> Instance:
     return Instance(name=name, uid=f"uid-{name}", running=True, **values)  # type: ignore[arg-type]
 
@@ -115,7 +125,7 @@ def test_enforcement_is_judged_again_after_the_gate_admits_another_pod(
     last, notices = objects.packets, objects.notices
     last.update({"uid-w-1": NOW, "uid-w-2": NOW})
     monkeypatch.setattr(gate_enforcement, "time", clock)
-    enforced = GateEnforcement(objects.gate, objects.proof, notices, Readers())
+    enforced = GateEnforcement(objects.gate, objects.proof, notices, Readers(), Interfaces())
     enforced.update(NOW)
     enforced.report(found := enforced.judge([ACTIVE, STANDBY]))
     assert (found[1], notices.conditions) == ("Settling", {})
@@ -139,7 +149,7 @@ def test_a_reader_that_the_gate_does_not_reach_means_that_it_is_not_enforced(
     last, notices = objects.packets, objects.notices
     last["uid-w-1"] = NOW + SETTLE
     monkeypatch.setattr(gate_enforcement, "time", clock)
-    enforced = GateEnforcement(objects.gate, objects.proof, notices, readers)
+    enforced = GateEnforcement(objects.gate, objects.proof, notices, readers, Interfaces())
     enforced.update(NOW)
     clock.now = NOW + SETTLE + 1
     assert enforced.judge([ACTIVE, STANDBY])[:2] == ("True", "SeenFromPackets")
@@ -152,12 +162,35 @@ def test_a_reader_that_the_gate_does_not_reach_means_that_it_is_not_enforced(
     assert enforced.judge([ACTIVE, STANDBY])[1] == "NotEnforced", "a network that enforces nothing comes first"
 
 
+def test_a_further_interface_of_an_instance_means_that_the_gate_is_not_enforced(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    objects, clock, interfaces = ClusterObjects(), Clock(NOW), Interfaces("w-2 has net1 (192.168.7.2).")
+    objects.put_gate(GateState(epoch=3, active="w-1", active_uid="uid-w-1"))
+    last, notices = objects.packets, objects.notices
+    last["uid-w-1"] = NOW + SETTLE
+    monkeypatch.setattr(gate_enforcement, "time", clock)
+    enforced = GateEnforcement(objects.gate, objects.proof, notices, Readers(), interfaces)
+    enforced.update(NOW)
+    assert enforced.judge([ACTIVE, STANDBY])[1] == "Settling"
+    clock.now = NOW + SETTLE + 1
+    assert enforced.judge([ACTIVE, STANDBY]) == ("False", "FurtherInterfaces", interfaces.sentence)
+    assert enforced.judge([ACTIVE])[:2] == ("False", "FurtherInterfaces"), "although no standby could be seen held back"
+    enforced.report(enforced.judge([ACTIVE, STANDBY]))
+    assert [reason for _, reason, _ in notices.events] == ["GateFurtherInterfaces"]
+    last["uid-w-2"] = clock.now
+    assert enforced.judge([ACTIVE, STANDBY])[1] == "NotEnforced", "a network that enforces nothing comes first"
+    del last["uid-w-2"]
+    interfaces.sentence = ""
+    assert enforced.judge([ACTIVE, STANDBY])[:2] == ("True", "SeenFromPackets")
+
+
 @pytest.mark.parametrize("step", [3600.0, -3600.0])
 def test_a_clock_that_is_set_does_not_change_the_judgement(monkeypatch: pytest.MonkeyPatch, step: float) -> None:
     objects, clock = ClusterObjects(), Clock(NOW)
     objects.put_gate(GateState(epoch=1, active="w-1", active_uid="uid-w-1"))
     monkeypatch.setattr(gate_enforcement, "time", clock)
-    enforced = GateEnforcement(objects.gate, objects.proof, objects.notices, Readers())
+    enforced = GateEnforcement(objects.gate, objects.proof, objects.notices, Readers(), Interfaces())
     enforced.update(NOW)
     set_clock(monkeypatch, step)
     # The times of packets follow the clock (kube/gates/probes.py). The standby's is of when the gate was not enforced yet.
