@@ -10,7 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import pairwise, takewhile
 
 from understudy_demo.recovery import Recovered
 from understudy_demo.robotview import Command
@@ -63,6 +63,9 @@ API = {"api-stop", "api-slow", "api-flap"}
 
 BEFORE = 8.0
 """Seconds before a switch in which a fault may have been its cause."""
+
+TAKES_STATE = 0.5
+"""Seconds within which an application on a busy machine acts on the state that its middleware has received for it."""
 
 STATE_AGE = 4.0
 """Seconds of work that a failover may lose: kept state is from before the failure, by the gap and the margin, and a quarter older."""
@@ -181,6 +184,8 @@ class Judgement:
     """Seconds from tampering to the last command that it let through, if that was soon enough."""
     unwatched: list[float] = field(default_factory=list)
     """Seconds without a monitor after the loss of its node."""
+    one_sided: list[float] = field(default_factory=list)
+    """Seconds without commands at the robot while a link lost packets, if no recovery began: the monitor may have received enough."""
     unexplained: int = 0
     """Failovers after a silence for which there was no fault: the machine was too busy."""
 
@@ -242,6 +247,10 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
         violation("stale command", switch, text)
     found.unwatched = [end - LISTENS - begin for begin, end in unwatched(seen, theirs) if not math.isinf(end)]
     for begin, length, strategy, allowed in gaps(seen, theirs, leaked):
+        is_lossy = any(BY_NAME[one.fault.kind].loses_packets and one.overlaps(begin, begin + length) for one in theirs)
+        if is_lossy and not strategy:
+            found.one_sided.append(length)
+            continue
         found.gaps.setdefault(strategy or "no recovery", []).append(length)
         if length > allowed:
             text = f"{length:.2f} s without a command ({strategy or 'no recovery'}; {allowed:.2f} s are allowed)"
@@ -462,13 +471,19 @@ def lost_steps(seen: Seen) -> Iterator[tuple[float, int, tuple[str, str]]]:
     """Yield when the application's steps went back, by how many, and from which instance to which.
 
     Commands count in the order in which they were sent: one that arrives late is stale, and no state is lost by it. Those of a fenced
-    instance do not count: what it did since nobody could keep, as on a node that was cut off.
+    instance do not count: what it did since nobody could keep, as on a node that was cut off. A new instance may
+    take a moment, ``TAKES_STATE``, to act on its state.
     """
     fenced = {command.sequence for command, _ in uncontrolled(seen.commands, seen.commits)}
     counted = sorted((c for c in seen.commands if c.sequence in seen.steps.keys() - fenced), key=lambda c: c.sent)
-    for a, b in pairwise(counted):
-        if (back := seen.steps[a.sequence] - seen.steps[b.sequence]) > 0:
-            yield b.received, back, (a.source, b.source)
+    for index, (a, b) in enumerate(pairwise(counted), 1):
+        before, reached = seen.steps[a.sequence], seen.steps[b.sequence]
+        if reached < before and a.source != b.source:
+            soon = takewhile(lambda c, first=b: c.sent - first.sent <= TAKES_STATE, counted[index:])
+            its_own = [c for c in soon if c.source == b.source]
+            reached = max(seen.steps[c.sequence] - count for count, c in enumerate(its_own))
+        if reached < before:
+            yield b.received, before - reached, (a.source, b.source)
 
 
 def rightness(recovery: Recovered, seen: Seen, injected: Sequence[Injected]) -> str:

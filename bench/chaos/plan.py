@@ -29,6 +29,8 @@ class Kind:
     """Percent, or whatever else the kind needs."""
     disturbs: bool = False
     """Whether the commands of the instance that it affects may stop or be lost, so that a failover is right."""
+    loses_packets: bool = False
+    """Whether one reader of an instance may receive nothing while another receives enough, so that no recovery begins."""
     delays: bool = False
     """Whether a recovery may have to wait for its end: it takes away the monitor or the API server."""
     after: float = 2.0
@@ -44,8 +46,8 @@ KINDS = (
     Kind("delete", victims=(ACTIVE, ACTIVE, STANDBY), disturbs=True, weight=2),
     Kind("freeze", (0.3, 15.0), victims=(ACTIVE, ACTIVE, STANDBY), disturbs=True, weight=2),
     Kind("slow", (3.0, 10.0), victims=(ACTIVE,), strengths=(50, 80, 95), disturbs=True),
-    Kind("packet-loss", (3.0, 10.0), victims=(ACTIVE, STANDBY), strengths=(10, 30, 60), disturbs=True),
-    Kind("packet-delay", (3.0, 10.0), victims=(ACTIVE, STANDBY), strengths=(100, 300), disturbs=True),
+    Kind("packet-loss", (3.0, 10.0), victims=(ACTIVE, STANDBY), strengths=(10, 30, 60), disturbs=True, loses_packets=True),
+    Kind("packet-delay", (3.0, 10.0), victims=(ACTIVE, STANDBY), strengths=(100, 300), disturbs=True, loses_packets=True),
     Kind("flood", (3.0, 8.0), victims=(ACTIVE, STANDBY), strengths=(1000, 4000), disturbs=True),
     Kind("node-power", (8.0, 15.0), "nodes", disturbs=True, delays=True, after=15.0, most=REPLACED, weight=0.5),
     Kind("node-cut", (4.0, 20.0), "nodes", disturbs=True, delays=True, after=15.0, most=REPLACED, weight=0.5),

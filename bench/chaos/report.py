@@ -71,6 +71,8 @@ def summarize(
         report.figure("time from tampering to the last command that it let through", repaired, unit="s")
     if caught_up := [seconds for judgement in judgements for seconds in judgement.caught_up]:
         report.figure("time from a node's return to the last command of a fenced instance on it", caught_up, unit="s")
+    if one_sided := [seconds for judgement in judgements for seconds in judgement.one_sided]:
+        report.figure("time without commands on a link that loses packets, without a recovery", one_sided, unit="s")
     if unwatched := [seconds for judgement in judgements for seconds in judgement.unwatched]:
         report.figure("time without a monitor after the loss of its node", unwatched, unit="s")
     counted("gaps beyond the bound of the strategy", "gap")

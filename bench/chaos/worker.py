@@ -17,7 +17,7 @@ import rclpy
 from geometry_msgs.msg import TwistStamped
 from rclpy.action import ActionClient, ActionServer
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.executors import MultiThreadedExecutor
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 from std_msgs.msg import Int64
 from test_msgs.action import Fibonacci
@@ -76,9 +76,15 @@ class Worker(Node):
 def drive() -> None:
     """Run the application."""
     rclpy.init()
-    executor = MultiThreadedExecutor(num_threads=4)
-    executor.add_node(Worker())
-    executor.spin()
+    try:
+        executor = MultiThreadedExecutor(num_threads=4)
+        executor.add_node(Worker())
+        executor.spin()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except (RuntimeError, ValueError):
+        if rclpy.ok():  # otherwise the pod is being deleted while the node is made
+            raise
 
 
 def client(order: int) -> None:

@@ -194,6 +194,15 @@ class TestOwnPod:
         assert now(made, self.own(made, "b", "w-own2", ready=False, age=5.0), other) == ([], [])
         assert now(made, self.own(made, "b", "w-own2", age=5.0), other) == ([], ["w-t"])
 
+    def test_a_standby_that_was_to_replace_the_pod_that_took_over_replaces_it(self) -> None:
+        made = self.driven()
+        own = self.own(made, "a", age=20.0)
+        other = standby(made, "b", "w-t", age=20.0, annotations={names.REPLACES: "uid-w-active"})
+        assert now(made, own, other) == ([], [])
+        mark = patched(made.plan(), "pods")["w-t"]["metadata"]["annotations"]
+        assert mark == {names.REPLACES: "uid-w-own"}
+        assert now(made, own, standby(made, "b", "w-t", age=20.0, annotations=mark)) == ([], ["w-own"])
+
     def test_it_stays_on_another_node(self) -> None:
         made = self.driven()
         assert now(made, self.own(made, "b")) == ([], [])

@@ -126,6 +126,25 @@ async def test_a_failed_restoration_is_recorded_and_does_not_prevent_the_recover
     assert done.to_recovery(1).state[1].message == "nobody subscribes to /initialpose within 5 s"
 
 
+@pytest.mark.parametrize(("ready_at", "restored"), [(None, 2), (0.0, 1)], ids=["only later", "all the time"])
+async def test_an_instance_that_could_not_take_its_state_is_given_it_again_if_it_becomes_ready_later(
+    ready_at: float | None, restored: int
+) -> None:
+    made = store()
+    made.refusal, made.refusals, made.ready_at = "nobody subscribes to /initialpose within 5 s", 1, ready_at
+    context = replace((world := World(made)).context(), restore_within=0.1)
+    done = await recover(failure(world), [Choice(Restart(), 1.0)], context)
+    assert (done.result, made.restored) == ("Recovered", restored)
+    assert all(entry.restored for entry in done.state if entry.name != "/plan") == (restored == 2)
+
+
+async def test_state_is_not_given_again_if_no_time_is_left_to_open_the_gate() -> None:
+    made = store()
+    made.refusal = "nobody subscribes to /initialpose within 5 s"
+    done = await recover(failure(world := World(made)), [Choice(Restart(), 1.0)], world.context())
+    assert (done.result, made.restored) == ("Recovered", 1)
+
+
 async def test_a_second_attempt_records_the_state_of_its_own_instance() -> None:
     made = store(pool="spare", held=True)
     made.broken.add("w-2")

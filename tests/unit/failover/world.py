@@ -67,6 +67,10 @@ class Store:
     """Pods (by name) whose agents report healthy outputs although Kubernetes reports the pod as not ready."""
     refusal: str = ""
     """Why no pod can be given any state."""
+    refusals: float = math.inf
+    """How often that happens."""
+    ready_at: float | None = None
+    """When each instance became ready; None for only after it was given its state."""
     others_claim: set[str] = field(default_factory=set)
     counter: itertools.count[int] = field(default_factory=lambda: itertools.count(1))
     source_makes_broken: bool = False
@@ -341,7 +345,7 @@ class _Agents(_Part):
         while instance.name in self.store.broken:
             await asyncio.sleep(PERIOD)
         await asyncio.sleep(PERIOD)
-        return self.world.clock()
+        return self.world.clock() if self.store.ready_at is None else self.store.ready_at
 
     async def restore(self, instance: Instance, state: KeptState, within: float) -> RestoreReport:
         self.world.effect()
@@ -351,7 +355,7 @@ class _Agents(_Part):
             self.store.pods[instance.name] = replace(instance, restarts=self.store.restored)
         self.store.kept_states[instance.name] = state
         self.world.effect()
-        if self.store.refusal:
+        if self.store.refusal and self.store.restored <= self.store.refusals:
             return state.none_restored(self.store.refusal)
         items = (*state.restored_samples, *state.parameters, *state.lifecycle)
         return RestoreReport(tuple(Restored(item.name, item.taken_at) for item in items), state.left_out)

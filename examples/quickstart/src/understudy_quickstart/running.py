@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import rclpy
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
 FRESH = 0.3
@@ -17,8 +17,10 @@ def run(make: Callable[[], Node]) -> None:
     rclpy.init()
     node = None
     try:
+        executor = SingleThreadedExecutor()  # before the node, because one that is made after the signal reports an error when it is freed
         node = make()
-        rclpy.spin(node)
+        executor.add_node(node)
+        executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except RuntimeError:

@@ -72,6 +72,9 @@ def keep(made: Plan, observed: Observed, workload_plan: WorkloadPlan, pool: str,
         renewal = _renewed(observed, workload_plan, pool, mine, want, found.move)
         want, spared = want + renewal.extra, _spared(observed, pool)
         made.writes += [Delete(PODS, pod) for pod in renewal.going]
+        if renewal.taker is not None and renewal.moving is not None:
+            mark = {"metadata": {"annotations": {names.REPLACES: kube_objects.uid(renewal.moving)}}}
+            made.writes.append(Patch(PODS, renewal.taker, mark))
     stranded = [pod for pod in mine if standby_spread.stranded(pod, observed)]
     change = pod_counts.change(
         mine,
@@ -120,6 +123,8 @@ class _Renewal:
     """The workload's own pods that can be deleted."""
     moving: Object | None = None
     """The own pod that a new standby is to replace on another node."""
+    taker: Object | None = None
+    """A standby that is to replace it instead of a new one: the pod that it replaced before is active now, so none waits for it."""
 
 
 def _renewed(
@@ -169,7 +174,10 @@ def _renewed(
     # otherwise, the replacement would never end.
     replaced = {kube_objects.notes(pod).get(names.REPLACES) for pod in ready}
     going = outdated + [pod for pod in moving if kube_objects.uid(pod) in replaced]
-    return _Renewal(int(pool == displaced), going if go else (), next(iter(moving), None))
+    takers = [pod for pod in ready if kube_objects.notes(pod).get(names.REPLACES) == kube_objects.uid(observed.active)]
+    is_named = any(kube_objects.uid(pod) in replaced for pod in moving)
+    taker = next(iter(takers), None) if moving and go and not is_named else None
+    return _Renewal(int(pool == displaced), going if go else (), next(iter(moving), None), taker)
 
 
 def _held(observed: Observed) -> bool:

@@ -165,7 +165,7 @@ async def bring_up_and_open(
     strategy's time, by the clock of the event loop.
     """
     while True:
-        restarts = _restarts(target, context)
+        restarts, is_late = _restarts(target, context), False
         await give_state_and_bring_up(target, progress, context, recovery, end=end)
         given = context.clock()
         if target.has_agent:
@@ -174,12 +174,20 @@ async def bring_up_and_open(
                 async with asyncio.timeout(max(MOMENT, (end - loop_time()) / 2)):
                     ready = await context.agents.ready(target)
                 progress.moments["ready"] = ready
+                is_late = ready > given
             except TimeoutError:
                 ready = context.clock()
             progress.charge("reinitialization", ready)
         if _restarts(target, context) == restarts:
             break
         _logger.info("%s has restarted since it was given its state: it is given again", target.name)
+    lacks_state = any(not entry.restored for entry in progress.state)
+    has_time = end - loop_time() > context.restore_within + MOMENT
+    if is_late and lacks_state and has_time and (recovery is None or not recovery.restores_state):
+        # It was starting, or had stopped, when its state was to be restored.
+        await restore(target, progress, context)
+        given = context.clock()
+        progress.charge("reinitialization", given)
     await _expired(given, progress, context)
     await open_for(target, progress, context)
     await wait_enforced(target, progress, context)

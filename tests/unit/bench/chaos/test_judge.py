@@ -261,6 +261,26 @@ def test_steps_that_go_back_by_more_than_the_age_of_kept_state_are_lost() -> Non
         assert whats(found) == expected
 
 
+@pytest.mark.parametrize(("takes", "expected"), [(0.3, []), (0.7, ["state lost"])])
+def test_an_application_may_take_a_moment_to_act_on_the_state_that_it_was_given(
+    takes: float, expected: list[str]
+) -> None:
+    commands = log(drive("a", 1, 10), drive("b", 10.62, 20))
+    steps = {c.sequence: 0 if c.source == "b" and c.sent < 10.62 + takes else c.sequence for c in commands}
+    assert whats(judged(commands, KILLED, steps=steps)) == expected
+
+
+@pytest.mark.parametrize(("recoveries", "expected"), [([], []), ([recovery(11.0, 15.0)], ["gap"])])
+def test_a_link_that_loses_packets_may_keep_them_from_the_robot_and_not_from_the_monitor(
+    recoveries: list[Recovered], expected: list[str]
+) -> None:
+    lossy = fault("packet-delay", 9.9, 15.0)
+    commits = [Commit(0.0, 1, ("a",))]
+    found = judged(log(drive("a", 1, 10), drive("a", 15, 20)), lossy, commits=commits, recoveries=recoveries)
+    assert whats(found) == expected
+    assert found.one_sided == ([] if recoveries else [pytest.approx(5.0)])
+
+
 def test_what_an_instance_did_after_it_was_fenced_is_no_lost_state() -> None:
     returned = [Command(15.0, "a", 0, 15.0, *[0.0] * 6)]
     commands = log(drive("a", 1, 10), drive("b", 10.62, 14.9), returned, drive("b", 15.01, 20))
