@@ -1,7 +1,7 @@
 """Checks whether the monitor ever raises a false alarm, and whether a robot is ever switched to another instance, while
 nothing fails and all cores are busy.
 
-    scripts/bench soak [--minutes 30] [--deadline 100] [--neighbours 0]
+    scripts/bench soak [--minutes 30] [--deadline 100] [--load 2] [--neighbours 0]
 
 The bench causes no failure. One process per core computes without a pause, at the same priority as all others.
 
@@ -126,6 +126,12 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=30.0)
     parser.add_argument("--deadline", type=int, default=100, help="spec.gate.reflex.deadline in milliseconds")
     parser.add_argument(
+        "--load",
+        type=int,
+        default=os.cpu_count(),
+        help="processes that compute without a pause, by default one for each core; 0 if something else keeps the cores busy",
+    )
+    parser.add_argument(
         "--neighbours",
         type=int,
         default=0,
@@ -138,7 +144,7 @@ def main() -> int:
     whole = math.ceil(options.minutes)
     with on_cluster(Path(os.environ["KUBECONFIG"]), {"gap": None, "reflex": options.deadline}) as robots:
         crowd(robots["gap"].kubectl, options.neighbours)
-        with at_work() as roles, Load() as load:
+        with at_work() as roles, Load(options.load) as load:
             await_grace(roles["ours"])
             soak, begun, armed = Soak(roles), time.time(), dict.fromkeys(robots, 0)
             soak.begin()
