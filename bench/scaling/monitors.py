@@ -118,8 +118,8 @@ class Monitor:
             crash_points = CrashPoints(self._state)
             self.notices = Recording(PublishedStatus.adopt(view.object))
             self.notices.robot = self.robot.key
+            self.fleet = PodControl(client, view, crash_points, self.notices)
             probes = Probes(self.application)
-            self.fleet = PodControl(client, view, probes, crash_points, self.notices)
             self.gate = probes.gate = GateControl(client, view, self.fleet, probes, crash_points, self.notices)
             recorder = Recorder(client, "understudy-monitor", "bench")
             roles = InstanceRoles(view, self.gate, self.current)

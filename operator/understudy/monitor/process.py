@@ -114,7 +114,7 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         await view.run(group)
         crash_points = CrashPoints(state)
         notices = Notices(PublishedStatus.adopt(view.object))
-        fleet = PodControl(client, view, proof, crash_points, notices)
+        fleet = PodControl(client, view, crash_points, notices)
         gate = GateControl(client, view, fleet, proof, crash_points, notices)
         recorder = Recorder(client, "understudy-monitor", os.environ.get("HOSTNAME", "monitor"))
         writer = StatusWriter(client, view, recorder, notices)

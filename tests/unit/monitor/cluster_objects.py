@@ -135,8 +135,8 @@ class ClusterObjects:
         self.view = ClusterView(self.client, NAMESPACE, workload, self.wakeups, me=MONITOR)
         self.packets: dict[str, float] = {}
         """When a packet of each pod last got through the gate, by UID."""
+        self.pods = PodControl(self.client, self.view, self.crash_points, self.notices)
         self.proof = Packets(self.packets)
-        self.pods = PodControl(self.client, self.view, self.proof, self.crash_points, self.notices)
         self.gate = GateControl(self.client, self.view, self.pods, self.proof, self.crash_points, self.notices)
 
     @property

@@ -24,15 +24,6 @@ class Packets(Proof):
 
     def __init__(self, last: Mapping[str, float]) -> None:
         self._last = last
-        self.addresses: dict[str, str] = {}
-        """From where packets of a pod come now, by its UID, if not from its object's address."""
-
-    @property
-    def moves(self) -> int:
-        return len(self.addresses)
-
-    def moved(self, uid: str, address: str) -> str:
-        return self.addresses.get(uid, address)
 
     def last(self, uid: str) -> float | None:
         return self._last.get(uid)
@@ -58,6 +49,5 @@ async def gate(client: MemoryClient, found: ClusterView, tmp_path: Path, active:
     found.gates.put(await client.create(NETWORK_POLICIES, "fleet", body))
 
     crash_points, notices = CrashPoints(tmp_path), Notices()
-    proof = Packets({})
-    pods = PodControl(client, found, proof, crash_points, notices)
-    return GateControl(client, found, pods, proof, crash_points, notices)
+    pods = PodControl(client, found, crash_points, notices)
+    return GateControl(client, found, pods, Packets({}), crash_points, notices)

@@ -70,18 +70,6 @@ class Proof(Protocol):
     def last(self, uid: str) -> float | None:
         """Return when a packet of a pod last passed the gate, in Unix seconds; None if none did."""
 
-    @property
-    def moves(self) -> int:
-        """How often a result of :meth:`moved` has changed."""
-        return 0
-
-    def moved(self, uid: str, address: str) -> str:
-        """Return the address that a pod has now, given the one that its object reports.
-
-        They differ if its packets came from the reported address before, and come only from another one since.
-        """
-        return address
-
     def heard_since(self, time: float) -> Sequence[str]:
         """Return the UIDs of all pods of which a packet has passed the gate since a time (Unix seconds)."""
         return ()

@@ -185,7 +185,7 @@ class ProbeSender:
 
 
 class Arrivals:
-    """When and from where each pod's probes arrived, as far as that is remembered. Times are Unix seconds."""
+    """When each pod's probes arrived, as far as that is remembered. Times are Unix seconds."""
 
     PODS = 256
     """Pods that are remembered. If there are more, the one that was silent for longest is forgotten."""
@@ -193,21 +193,8 @@ class Arrivals:
     MOST = 4096
     """Arrivals that are remembered for each pod: four seconds of a burst."""
 
-    ADDRESSES = 8
-    """Addresses that are remembered for each pod."""
-
     def __init__(self) -> None:
         self._arrivals: OrderedDict[str, deque[float]] = OrderedDict()
-        self._addresses: dict[str, tuple[str, ...]] = {}
-        """The addresses of each pod's probes, the newest one last. Empty if probes came from an earlier one again: then two senders use
-        one UID, and no address is the pod's for sure."""
-        self.moves = 0
-        """How often a pod's addresses have changed."""
-
-    def moved(self, uid: str, address: str) -> str:
-        """Return the newest address of a pod if its probes came from ``address`` before, and that address if not."""
-        known = self._addresses.get(uid, ())
-        return known[-1] if address in known else address
 
     def of(self, uid: str) -> Sequence[float]:
         """Return when a pod's probes arrived, in order."""
@@ -217,26 +204,17 @@ class Arrivals:
         """Return the pods whose last probe arrived at or after a time."""
         return [uid for uid, arrivals in self._arrivals.items() if arrivals and arrivals[-1] >= time]
 
-    def add(self, uid: str, arrival: float, address: str = "") -> None:
-        """Record that a pod's probe arrived from an address."""
-        self._note(uid, address)
+    def add(self, uid: str, arrival: float) -> None:
+        """Record that a pod's probe arrived."""
         arrivals = self._arrivals.get(uid)
         if arrivals is None:
             if len(self._arrivals) >= self.PODS:
-                self._addresses.pop(self._arrivals.popitem(last=False)[0], None)
+                self._arrivals.popitem(last=False)
             arrivals = self._arrivals[uid] = deque(maxlen=self.MOST)
         else:
             self._arrivals.move_to_end(uid)
         # The kernel may stamp two probes out of order, or with a clock that was set meanwhile.
         arrivals.append(max(arrival, arrivals[-1]) if arrivals else arrival)
-
-    def _note(self, uid: str, address: str) -> None:
-        known = self._addresses.get(uid)
-        if known is None:
-            self._addresses[uid] = (address,)
-        elif known and known[-1] != address:
-            self._addresses[uid] = () if address in known else (*known, address)[-self.ADDRESSES :]
-            self.moves += 1
 
     def shift(self, step: float, now: float) -> None:
         """Move all times by ``step`` seconds, after the clock was set to ``now``."""
@@ -294,15 +272,6 @@ class ProbeReceiver:
         self._take()
         arrivals = self._arrivals.of(uid)
         return arrivals[-1] if arrivals else None
-
-    @property
-    def moves(self) -> int:
-        """How often the addresses of a pod's probes have changed."""
-        return self._arrivals.moves
-
-    def moved(self, uid: str, address: str) -> str:
-        """Return the address that a pod has now, as far as its probes show that it is no longer the one given."""
-        return self._arrivals.moved(uid, address)
 
     def heard_since(self, time: float) -> Sequence[str]:
         """Return the UIDs of all pods of which a probe has arrived since a time (Unix seconds)."""
@@ -372,7 +341,7 @@ class ProbeReceiver:
             if self._socket is None:
                 return
             try:
-                datagram, ancillary, _flags, address = self._socket.recvmsg(_FORMAT.size + 1, 64)
+                datagram, ancillary, _flags, _address = self._socket.recvmsg(_FORMAT.size + 1, 64)
             except (BlockingIOError, InterruptedError):
                 self._taken = time.time()
                 break
@@ -381,7 +350,7 @@ class ProbeReceiver:
                 break
             probe = decode(datagram)
             if probe is not None:
-                self._arrivals.add(probe.uid, min(max(_timestamp(ancillary), low), high), address[0])
+                self._arrivals.add(probe.uid, min(max(_timestamp(ancillary), low), high))
 
     def _follow_clock(self) -> tuple[float, float]:
         """Move the times of arrivals if the clock was set. Returns the bounds for those of probes that were not read yet.

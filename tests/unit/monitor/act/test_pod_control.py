@@ -68,14 +68,6 @@ def test_the_pods_of_the_tests_represent_their_instances(instance: Instance) -> 
     assert instance_of(pod_of(instance)) == instance
 
 
-def test_an_instance_has_the_address_of_its_packets_as_long_as_its_object_does_not_report_it() -> None:
-    objects = ClusterObjects()
-    objects.put_pods(Instance("w-1", "uid-1", ip="10.0.0.1"), Instance("w-2", "uid-2", ip="10.0.0.2"))
-    assert [one.ip for one in objects.pods.of_workload()] == ["10.0.0.1", "10.0.0.2"]
-    objects.proof.addresses["uid-2"] = "10.0.0.1"
-    assert [one.ip for one in objects.pods.of_workload()] == ["10.0.0.1", "10.0.0.1"]
-
-
 def test_a_pod_that_is_not_deleted_is_neither_evicted_nor_leaving() -> None:
     found = instance_of(pod(conditions=[EVICTION]))
     assert (found.terminating, found.evicted, found.leaving) == (False, False, False)

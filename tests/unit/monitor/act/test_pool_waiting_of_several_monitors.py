@@ -26,7 +26,6 @@ from understudy.failover.strategies.base import Choice, StrategyContext
 from understudy.failover.strategies.uninitialized import UninitializedFallback
 from understudy.kube import claims
 from understudy.kube.client import NETWORK_POLICIES, PODS, Object, Resource
-from understudy.kube.gates.base import Proof
 from understudy.kube.watched_collection import Reflector
 from understudy.monitor.act.objects.gate_control import GateControl
 from understudy.monitor.act.objects.pod_control import PodControl
@@ -149,7 +148,7 @@ class Cluster(MemoryClient):
         return sum(method == "PATCH" and name.endswith(ending) for method, name, _ in self.requests)
 
 
-class Monitor(Proof):
+class Monitor:
     """What of a monitor has to do with pods, gates and others; its instances start at once and drive as soon as they may."""
 
     def __init__(self, cluster: Cluster, workload: str, priority: int, state: Path) -> None:
@@ -177,8 +176,8 @@ class Monitor(Proof):
         self.view.workloads.put({"metadata": {"name": workload, "resourceVersion": "1"}, "spec": spec})
         self.notices = Notices()
         steps = CrashPoints(state)
-        self.fleet = PodControl(cluster, self.view, self, steps, self.notices)
-        self.gate = GateControl(cluster, self.view, self.fleet, self, steps, self.notices)
+        self.fleet = PodControl(cluster, self.view, steps, self.notices)
+        self.gate = GateControl(cluster, self.view, self.fleet, self, steps, self.notices)  # type: ignore[arg-type]
         cluster.monitors.append(self)
 
     def hear(self, resource: Resource, item: Object) -> None:
@@ -241,7 +240,7 @@ class Monitor(Proof):
     async def ready(self, instance: Instance) -> float:
         return time.time()
 
-    async def wait(self, uid: str, after: float) -> float:
+    async def wait(self, uid: str, since: float) -> float:
         return time.time()
 
     async def first_from(self, instance: Instance, *, since: float) -> float:

@@ -8,7 +8,6 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractAsyncContextManager
-from dataclasses import replace
 from functools import partial
 
 from understudy.api import names
@@ -16,7 +15,6 @@ from understudy.api.protocol.monitor_settings import WorkloadSettings
 from understudy.failover.interfaces import ClaimLost, Instance, NotAvailable
 from understudy.kube import claims
 from understudy.kube.client import EVICTION, FAILURES, PODS, REPLICA_SETS, ApiError, Client, Object
-from understudy.kube.gates.base import Proof
 from understudy.kube.watched_collection import any_changed
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.notices import Notices, PodClaimed
@@ -75,13 +73,10 @@ def instance_of(pod: Object) -> Instance:
 class PodControl:
     """Implements :class:`understudy.failover.interfaces.Instances` over the watched pods."""
 
-    def __init__(
-        self, client: Client, view: ClusterView, proof: Proof, crash_points: CrashPoints, notices: Notices
-    ) -> None:
-        self._client, self._view, self._proof = client, view, proof
-        self._crash_points, self._notices = crash_points, notices
+    def __init__(self, client: Client, view: ClusterView, crash_points: CrashPoints, notices: Notices) -> None:
+        self._client, self._view, self._crash_points, self._notices = client, view, crash_points, notices
         self._instances: list[Instance] = []
-        self._revision: tuple[tuple[int, int], int] | None = None
+        self._revision: tuple[int, int] | None = None
 
     @property
     def _settings(self) -> WorkloadSettings:
@@ -95,15 +90,10 @@ class PodControl:
         return {choice.name: choice.template_hash for choice in self._settings.pools}
 
     def of_workload(self) -> Sequence[Instance]:
-        """Return every instance of this workload, including terminating ones.
-
-        A pod that its node starts again has another address. Its object has it as soon as the API server is there, its packets before.
-        """
-        revision = (self._view.pods_revision, self._proof.moves)
-        if self._revision != revision:
-            self._revision = revision
-            found = (instance_of(pod) for pod in self._view.all_pods())
-            self._instances = [replace(one, ip=self._proof.moved(one.uid, one.ip)) for one in found]
+        """Return every instance of this workload, including terminating ones."""
+        if self._revision != self._view.pods_revision:
+            self._revision = self._view.pods_revision
+            self._instances = [instance_of(pod) for pod in self._view.all_pods()]
         return self._instances
 
     def find(self, uid: str) -> Instance | None:
