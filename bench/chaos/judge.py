@@ -15,7 +15,7 @@ from itertools import pairwise, takewhile
 from understudy_demo.recovery import Recovered
 from understudy_demo.robotview import Command
 
-from bench.chaos.plan import BY_NAME, Fault
+from bench.chaos.plan import BY_NAME, STANDBY, Fault
 
 ENFORCEMENT = 0.05
 """Seconds after a commit in which commands of a fenced instance may still arrive."""
@@ -247,8 +247,13 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
         violation("stale command", switch, text)
     found.unwatched = [end - LISTENS - begin for begin, end in unwatched(seen, theirs) if not math.isinf(end)]
     for begin, length, strategy, allowed in gaps(seen, theirs, leaked):
-        is_lossy = any(BY_NAME[one.fault.kind].loses_packets and one.overlaps(begin, begin + length) for one in theirs)
-        if is_lossy and not strategy:
+        lossy = [
+            (one.begun, one.ended + BY_NAME[one.fault.kind].after)
+            for one in theirs
+            if BY_NAME[one.fault.kind].loses_packets and one.fault.victim != STANDBY
+        ]
+        lost = covered(lossy, begin, begin + length)
+        if lost and not strategy and length - lost <= allowed:
             found.one_sided.append(length)
             continue
         found.gaps.setdefault(strategy or "no recovery", []).append(length)

@@ -46,8 +46,12 @@ KINDS = (
     Kind("delete", victims=(ACTIVE, ACTIVE, STANDBY), disturbs=True, weight=2),
     Kind("freeze", (0.3, 15.0), victims=(ACTIVE, ACTIVE, STANDBY), disturbs=True, weight=2),
     Kind("slow", (3.0, 10.0), victims=(ACTIVE,), strengths=(50, 80, 95), disturbs=True),
-    Kind("packet-loss", (3.0, 10.0), victims=(ACTIVE, STANDBY), strengths=(10, 30, 60), disturbs=True, loses_packets=True),
-    Kind("packet-delay", (3.0, 10.0), victims=(ACTIVE, STANDBY), strengths=(100, 300), disturbs=True, loses_packets=True),
+    Kind(
+        "packet-loss", (3.0, 10.0), victims=(ACTIVE, STANDBY), strengths=(10, 30, 60), disturbs=True, loses_packets=True
+    ),
+    Kind(
+        "packet-delay", (3.0, 10.0), victims=(ACTIVE, STANDBY), strengths=(100, 300), disturbs=True, loses_packets=True
+    ),
     Kind("flood", (3.0, 8.0), victims=(ACTIVE, STANDBY), strengths=(1000, 4000), disturbs=True),
     Kind("node-power", (8.0, 15.0), "nodes", disturbs=True, delays=True, after=15.0, most=REPLACED, weight=0.5),
     Kind("node-cut", (4.0, 20.0), "nodes", disturbs=True, delays=True, after=15.0, most=REPLACED, weight=0.5),

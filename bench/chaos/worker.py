@@ -17,6 +17,7 @@ import rclpy
 from geometry_msgs.msg import TwistStamped
 from rclpy.action import ActionClient, ActionServer
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.exceptions import NotInitializedException
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 from std_msgs.msg import Int64
@@ -82,7 +83,7 @@ def drive() -> None:
         executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
-    except (RuntimeError, ValueError):
+    except (RuntimeError, ValueError, NotInitializedException):
         if rclpy.ok():  # otherwise the pod is being deleted while the node is made
             raise
 

@@ -92,7 +92,7 @@ def _addresses() -> Iterator[tuple[str, IPv4Address | IPv6Address]]:
             if family in _PLACES:
                 offset, size = _PLACES[family]
                 # The name of an address may have a label: eth0:1.
-                name = found.name.decode().partition(":")[0]
+                name = found.name.decode(errors="replace").partition(":")[0]
                 yield name, ip_address(ctypes.string_at(found.address + offset, size))
     finally:
         libc.freeifaddrs(first)

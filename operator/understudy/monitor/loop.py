@@ -335,7 +335,9 @@ class MonitorLoop:
             try:
                 await self._end_leaks_now(time.time())
             except Exception:
-                _logger.exception("ending leaks during a recovery")  # neither the recovery nor the next look ends with it
+                _logger.exception(
+                    "ending leaks during a recovery"
+                )  # neither the recovery nor the next look ends with it
 
     async def _end_leaks_now(self, now: float) -> None:
         self.act.labels.follow()

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
-from tests.unit.failover.world import Killed, Store, World
-from understudy.api.protocol.kept_state import KeptSample, KeptState, NotRestored, ParameterValues
-from understudy.failover.interfaces import GateState
+from tests.unit.failover.world import Agents, Killed, Store, World
+from understudy.api.protocol.kept_state import (
+    KeptSample,
+    KeptState,
+    NotRestored,
+    ParameterValues,
+    Restored,
+    RestoreReport,
+)
+from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.protocol import recover
 from understudy.failover.strategies.base import Choice
@@ -126,16 +135,83 @@ async def test_a_failed_restoration_is_recorded_and_does_not_prevent_the_recover
     assert done.to_recovery(1).state[1].message == "nobody subscribes to /initialpose within 5 s"
 
 
-@pytest.mark.parametrize(("ready_at", "restored"), [(None, 2), (0.0, 1)], ids=["only later", "all the time"])
+class Starting(Agents):
+    """Instances that are not ready when they are given their state for the first time."""
+
+    def is_ready(self, instance: Instance) -> tuple[bool, str]:
+        return False, "no /cmd_vel yet"
+
+
+@pytest.mark.parametrize(("was_ready", "restored"), [(False, 2), (True, 1)], ids=["only later", "all the time"])
 async def test_an_instance_that_could_not_take_its_state_is_given_it_again_if_it_becomes_ready_later(
-    ready_at: float | None, restored: int
+    was_ready: bool, restored: int
 ) -> None:
     made = store()
-    made.refusal, made.refusals, made.ready_at = "nobody subscribes to /initialpose within 5 s", 1, ready_at
-    context = replace((world := World(made)).context(), restore_within=0.1)
+    made.refusal, made.refusals = "nobody subscribes to /initialpose within 5 s", 1
+    world = World(made)
+    context = replace(world.context(), restore_within=0.1, agents=Agents(world) if was_ready else Starting(world))
     done = await recover(failure(world), [Choice(Restart(), 1.0)], context)
     assert (done.result, made.restored) == ("Recovered", restored)
     assert all(entry.restored for entry in done.state if entry.name != "/plan") == (restored == 2)
+
+
+async def test_state_that_was_never_kept_does_not_make_the_rest_be_given_again() -> None:
+    made = store()
+    context = replace((world := World(made)).context(), restore_within=0.1)
+    done = await recover(failure(world), [Choice(Restart(), 1.0)], context)
+    assert (recorded(done), made.restored) == (EXPECTED, 1)
+
+
+class SlowSubscribers(Starting):
+    """Instances that set their parameters, that nobody's samples reach, and that become ready some time later."""
+
+    def __init__(self, world: World, *, takes: float = 0.02, restarts_at: int = 0, loses_agent_at: int = 0) -> None:
+        """``takes`` is how long a restoration lasts, in seconds; the others say during which one something happens."""
+        super().__init__(world)
+        self._takes, self._restarts_at, self._loses_agent_at = takes, restarts_at, loses_agent_at
+
+    async def restore(self, instance: Instance, state: KeptState, within: float) -> RestoreReport:
+        self.store.restored += 1
+        await asyncio.sleep(self._takes)
+        if self.store.restored == self._restarts_at:
+            self.store.pods[instance.name] = replace(self.store.pods[instance.name], restarts=1)
+        if self.store.restored == self._loses_agent_at:
+            return state.none_restored("its agent is not connected")
+        missing = (NotRestored(one.name, "nobody subscribes to it") for one in state.restored_samples)
+        restored = tuple(Restored(one.name, one.taken_at) for one in state.parameters)
+        return RestoreReport(restored, (*state.left_out, *missing))
+
+    async def ready(self, instance: Instance) -> float:
+        await asyncio.sleep(0.15)
+        return self.world.clock()
+
+
+async def given_to_slow_subscribers(
+    *, within: float, expiry: float = 0.0, restore_within: float = 0.1, **slow: Any
+) -> tuple[Progress, Store]:
+    """The recovery, and the world after it."""
+    world = World(made := store())
+    context = replace(
+        world.context(), restore_within=restore_within, expiry=expiry, agents=SlowSubscribers(world, **slow)
+    )
+    return await recover(failure(world), [Choice(Restart(), within)], context), made
+
+
+async def test_a_recovery_with_time_for_everything_else_does_not_fail_because_state_is_given_again() -> None:
+    done, made = await given_to_slow_subscribers(within=1.0, takes=0.4, restore_within=0.4, expiry=0.3)
+    assert (done.result, made.restored) == ("Recovered", 1)
+
+
+async def test_an_instance_that_restarts_while_it_is_given_state_again_receives_all_of_it_again() -> None:
+    done, made = await given_to_slow_subscribers(within=2.0, restarts_at=2)
+    assert done.result == "Recovered"
+    assert made.restored > 2
+
+
+async def test_what_was_restored_stays_restored_if_the_rest_is_given_again_in_vain() -> None:
+    done, made = await given_to_slow_subscribers(within=2.0, loses_agent_at=2)
+    assert (done.result, made.restored) == ("Recovered", 2)
+    assert {entry.name: entry.restored for entry in done.state}["/controller (parameters)"]
 
 
 async def test_state_is_not_given_again_if_no_time_is_left_to_open_the_gate() -> None:

@@ -69,8 +69,6 @@ class Store:
     """Why no pod can be given any state."""
     refusals: float = math.inf
     """How often that happens."""
-    ready_at: float | None = None
-    """When each instance became ready; None for only after it was given its state."""
     others_claim: set[str] = field(default_factory=set)
     counter: itertools.count[int] = field(default_factory=lambda: itertools.count(1))
     source_makes_broken: bool = False
@@ -151,7 +149,7 @@ class World:
         return StrategyContext(
             gate=_Gate(self),
             instances=_Instances(self),
-            agents=_Agents(self),
+            agents=Agents(self),
             outputs=_Outputs(self),
             queue=_Queue(self),
             clock=self.clock,
@@ -318,7 +316,7 @@ class _Queue(_Part):
         await asyncio.sleep(PERIOD)
 
 
-class _Agents(_Part):
+class Agents(_Part):
     def _assert_behind_the_gate(self, instance: Instance, what: str) -> None:
         open_for_another = self.store.beside and self.store.gate.active != instance.name
         assert self.store.gate.closed or open_for_another, f"{what} while the gate was open"
@@ -345,7 +343,7 @@ class _Agents(_Part):
         while instance.name in self.store.broken:
             await asyncio.sleep(PERIOD)
         await asyncio.sleep(PERIOD)
-        return self.world.clock() if self.store.ready_at is None else self.store.ready_at
+        return self.world.clock()
 
     async def restore(self, instance: Instance, state: KeptState, within: float) -> RestoreReport:
         self.world.effect()

@@ -12,10 +12,12 @@ from std_msgs.msg import Empty  # noqa: E402
 from understudy_quickstart.running import run  # noqa: E402
 
 
-def test_a_node_that_is_asked_to_stop_while_it_starts_ends_without_an_error() -> None:
+@pytest.mark.parametrize("has_begun", [False, True])
+def test_a_node_that_is_asked_to_stop_while_it_starts_ends_without_an_error(has_begun: bool) -> None:
     def make() -> Node:
-        node = Node("starting")
+        node = Node("starting") if has_begun else None
         rclpy.shutdown()
+        node = node or Node("starting")
         node.create_publisher(Empty, "/late", 1)
         return node
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import rclpy
+from rclpy.exceptions import NotInitializedException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
@@ -17,13 +18,15 @@ def run(make: Callable[[], Node]) -> None:
     rclpy.init()
     node = None
     try:
-        executor = SingleThreadedExecutor()  # before the node, because one that is made after the signal reports an error when it is freed
+        executor = (
+            SingleThreadedExecutor()
+        )  # before the node, because one that is made after the signal reports an error when it is freed
         node = make()
         executor.add_node(node)
         executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
-    except RuntimeError:
+    except (RuntimeError, NotInitializedException):
         if rclpy.ok():  # otherwise a signal ended ROS while the node was made, or in the middle of a callback
             raise
     finally:

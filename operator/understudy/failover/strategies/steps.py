@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import AsyncIterator, Coroutine, Iterable
+from collections.abc import AsyncIterator, Collection, Coroutine, Iterable
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -165,29 +165,29 @@ async def bring_up_and_open(
     strategy's time, by the clock of the event loop.
     """
     while True:
-        restarts, is_late = _restarts(target, context), False
-        await give_state_and_bring_up(target, progress, context, recovery, end=end)
+        restarts = _restarts(target, context)
+        missing = await give_state_and_bring_up(target, progress, context, recovery, end=end)
         given = context.clock()
         if target.has_agent:
+            was_ready, _ = context.agents.is_ready(target)
             try:
                 # An application may need a response of the robot before it publishes: half the time is left for opening the gate first.
                 async with asyncio.timeout(max(MOMENT, (end - loop_time()) / 2)):
                     ready = await context.agents.ready(target)
                 progress.moments["ready"] = ready
-                is_late = ready > given
             except TimeoutError:
-                ready = context.clock()
+                was_ready, ready = True, context.clock()
             progress.charge("reinitialization", ready)
+            # Time to open the gate is left, also if all of this time is needed.
+            has_time = end - loop_time() > 2 * (context.restore_within + context.expiry) + MOMENT
+            if missing and not was_ready and has_time:
+                # It was starting, or had stopped, when its state was to be restored.
+                await restore(target, progress, context, only=missing)
+                given = context.clock()
+                progress.charge("reinitialization", given)
         if _restarts(target, context) == restarts:
             break
         _logger.info("%s has restarted since it was given its state: it is given again", target.name)
-    lacks_state = any(not entry.restored for entry in progress.state)
-    has_time = end - loop_time() > context.restore_within + MOMENT
-    if is_late and lacks_state and has_time and (recovery is None or not recovery.restores_state):
-        # It was starting, or had stopped, when its state was to be restored.
-        await restore(target, progress, context)
-        given = context.clock()
-        progress.charge("reinitialization", given)
     await _expired(given, progress, context)
     await open_for(target, progress, context)
     await wait_enforced(target, progress, context)
@@ -208,10 +208,14 @@ async def _expired(given: float, progress: Progress, context: StrategyContext) -
 
 async def give_state_and_bring_up(
     target: Instance, progress: Progress, context: StrategyContext, recovery: BringUp | None, *, end: float
-) -> None:
-    """Restore the kept state to a started instance, and run the procedure that prepares it to drive."""
+) -> Collection[str]:
+    """Restore the kept state to a started instance, and run the procedure that prepares it to drive.
+
+    Returns the topics and nodes whose state the instance should have received and did not. A procedure that restores state judges itself.
+    """
+    missing: Collection[str] = ()
     if recovery is None or not recovery.restores_state or not target.has_agent:
-        await restore(target, progress, context)
+        missing = await restore(target, progress, context)
     if recovery is not None and target.has_agent:
         rest = end - loop_time()
         within = min(recovery.within, max(MOMENT, rest - min(ANSWER, rest / 4)))
@@ -221,6 +225,7 @@ async def give_state_and_bring_up(
         if recovery.restores_state:
             progress.note_state(report)
             context.save(progress)
+    return missing
 
 
 @asynccontextmanager
@@ -260,21 +265,25 @@ def loop_time() -> float:
     return asyncio.get_running_loop().time()
 
 
-async def restore(target: Instance, progress: Progress, context: StrategyContext) -> None:
-    """Restore the state of the last healthy instance to a started one, as far as possible.
+async def restore(
+    target: Instance, progress: Progress, context: StrategyContext, *, only: Collection[str] = ()
+) -> Collection[str]:
+    """Restore the state of the last healthy instance to a started one, as far as possible; with ``only``, only that of these topics and
+    nodes. Returns the topics and nodes for which it failed.
 
     State that cannot be restored is recorded and does not stop the recovery: a robot without an active instance is worse off than one whose
     application starts without some of its state. A recovery tree can insist on the state (restore_state).
     """
-    state = kept(progress, context)
+    state = kept(progress, context).only(only)
     if not state and not state.left_out:
-        return
+        return ()
     if target.has_agent:
         report = await context.agents.restore(target, state, context.restore_within)
     else:
         report = state.none_restored(f"pod {target.name} has no agent, because Understudy did not create it")
     progress.note_state(report)
     context.save(progress)
+    return {entry.name.split(" ")[0] for entry in report.failed}
 
 
 def kept(progress: Progress, context: StrategyContext) -> KeptState:

@@ -281,6 +281,16 @@ def test_a_link_that_loses_packets_may_keep_them_from_the_robot_and_not_from_the
     assert found.one_sided == ([] if recoveries else [pytest.approx(5.0)])
 
 
+@pytest.mark.parametrize(("victim", "back"), [("active", 70), ("standby", 16)])
+def test_a_robot_that_stands_for_longer_than_packets_were_lost_or_by_another_instance_has_a_gap(
+    victim: str, back: float
+) -> None:
+    lossy = fault("packet-loss", 9.9, 14.9)
+    lossy = replace(lossy, fault=replace(lossy.fault, victim=victim))
+    found = judged(log(drive("a", 1, 10), drive("a", back, 80)), lossy, commits=[Commit(0.0, 1, ("a",))])
+    assert whats(found) == ["gap"]
+
+
 def test_what_an_instance_did_after_it_was_fenced_is_no_lost_state() -> None:
     returned = [Command(15.0, "a", 0, 15.0, *[0.0] * 6)]
     commands = log(drive("a", 1, 10), drive("b", 10.62, 14.9), returned, drive("b", 15.01, 20))

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -24,7 +26,7 @@ from tests.unit.monitor.senses import GivenSenses
 from tests.unit.monitor.state_monitor import ACTIVE, POSE, STANDBY, STATE, Monitor, next_monitor
 from understudy.api.kinds.robot_workload import Recovery
 from understudy.api.kinds.state_spec import RestoredState, State
-from understudy.api.protocol.kept_state import NotRestored
+from understudy.api.protocol.kept_state import KeptState, NotRestored
 from understudy.api.protocol.monitor_settings import PoolChoice
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import PodIdentity, Progress
@@ -131,6 +133,38 @@ async def test_state_that_a_recovery_selects_is_stored_at_once(
         later.health = "Starting"
         later.state_manager.take(STATE, {}, "w-1")
         assert later.state_manager.select(onset) == kept
+
+
+async def test_state_that_a_recovery_selects_is_stored_although_older_state_is_being_stored(
+    monitor: Monitor, say: Callable[[float], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    say(1.0)
+    await monitor.until(lambda: monitor.x() == 1.0 and StateStore(tmp_path).load())
+    shelf, begun, may_end = monitor.state_manager._shelf, threading.Event(), threading.Event()
+    save = shelf.save
+
+    def slow(*kept: Any) -> None:
+        begun.set()
+        may_end.wait(10)
+        save(*kept)
+
+    monkeypatch.setattr(shelf, "save", slow)
+    say(2.0)
+    await monitor.until(lambda: monitor.x() == 2.0 and begun.is_set())
+    say(3.0)
+    await monitor.until(lambda: monitor.x() == 3.0)
+    kept = monitor.state_manager.select_for_recovery(onset := time.time())
+    may_end.set()
+
+    def restored() -> KeptState:
+        with next_monitor(tmp_path) as later:
+            later.health = "Starting"
+            later.state_manager.take(STATE, {}, "w-1")
+            return later.state_manager.select(onset)
+
+    async with asyncio.timeout(10):
+        while restored() != kept:
+            await asyncio.sleep(0.05)
 
 
 @pytest.mark.parametrize(("max_age", "useless"), [("1m", False), ("5s", True)])

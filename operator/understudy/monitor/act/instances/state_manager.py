@@ -86,6 +86,8 @@ class StateManager:
         self._persisted: tuple[object, ...] = (self._keeper.revision, self.source)
         self._persisting: asyncio.Task[None] | None = None
         self._next_persist = 0.0
+        self._persist_again = False
+        """Whether what is new is to be stored as soon as the present write has ended."""
         self._inspecting: asyncio.Task[None] | None = None
         self._next_inspect = 0.0
         self._unanswered: dict[Key, str] = {}
@@ -196,8 +198,9 @@ class StateManager:
 
     def select_for_recovery(self, onset: float) -> KeptState:
         """Return the same as :meth:`select`, and store it at once: if this monitor ends, the next one restores the same state."""
+        selected = self.select(onset)
         self._persist(time.monotonic(), at_once=True)
-        return self.select(onset)
+        return selected
 
     def report_restored(self, recovery: Recovery) -> None:
         """Report what happened to the state in a recovery."""
@@ -266,6 +269,7 @@ class StateManager:
         busy = self._persisting is not None and not self._persisting.done()
         source = self.source
         revision = (self._keeper.revision + self._carrier.revision, source)
+        self._persist_again |= busy and at_once
         if busy or (now < self._next_persist and not at_once) or revision == self._persisted or self._adopted:
             return
         self._next_persist = now + PERSIST
@@ -279,6 +283,9 @@ class StateManager:
                 self._persisted = revision
             except OSError as error:
                 _logger.error("could not store the kept state, so it is lost if the monitor restarts: %s", error)
+            if self._persist_again:  # a recovery selected newer state meanwhile
+                self._persist_again, self._persisting = False, None
+                self._persist(time.monotonic(), at_once=True)
 
         self._persisting = asyncio.create_task(persist())
 
