@@ -37,6 +37,8 @@ class Keeping:
     def select(self, onset: float) -> KeptState:
         return KeptState()
 
+    select_for_recovery = select
+
     @contextlib.asynccontextmanager
     async def recovering(self) -> AsyncIterator[None]:
         yield
