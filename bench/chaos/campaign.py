@@ -148,6 +148,7 @@ def _judge(
         goals=_ended(robot.goals()),
         nodes=witness.nodes(),
         monitors=witness.monitors(robot.workload),
+        unled=witness.unled(),
     )
     dump(
         folder / f"{robot.name}.json",

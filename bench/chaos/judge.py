@@ -144,6 +144,8 @@ class Seen:
     """The node of each instance."""
     monitors: Sequence[tuple[float, str]] = ()
     """When a monitor became ready, and on which node, in order."""
+    unled: Sequence[tuple[float, float]] = ()
+    """From when to when no operator led."""
 
 
 @dataclass(frozen=True)
@@ -182,6 +184,10 @@ class Judgement:
     """Seconds from the return of a node that was cut off to the last command of a fenced instance on it, if that was soon enough."""
     repaired: list[float] = field(default_factory=list)
     """Seconds from tampering to the last command that it let through, if that was soon enough."""
+    unled: list[float] = field(default_factory=list)
+    """Seconds without an operator that led, which restores what somebody deletes."""
+    restarted_unwatched: list[int] = field(default_factory=list)
+    """Steps that an instance lost that restarted in place while no monitor watched it."""
     unwatched: list[float] = field(default_factory=list)
     """Seconds without a monitor after the loss of its node."""
     one_sided: list[float] = field(default_factory=list)
@@ -245,6 +251,7 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
         found.stale += ages
         text = f"{len(ages)} commands of {pod}, up to {max(ages):.3f} s older than its switch, arrived after it"
         violation("stale command", switch, text)
+    found.unled = [end - begin for begin, end in seen.unled]
     found.unwatched = [end - LISTENS - begin for begin, end in unwatched(seen, theirs) if not math.isinf(end)]
     for begin, length, strategy, allowed in gaps(seen, theirs, leaked):
         lossy = [
@@ -261,6 +268,9 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
             text = f"{length:.2f} s without a command ({strategy or 'no recovery'}; {allowed:.2f} s are allowed)"
             violation("gap", begin + length, text, begin)
     for at, steps, pods in lost_steps(seen):
+        if pods[0] == pods[1] and covered(unwatched(seen, theirs), at - 1.0, at):
+            found.restarted_unwatched.append(steps)
+            continue
         if any(returned(seen.nodes.get(pod, ""), at, injected) is not None for pod in pods):
             continue  # the commands of two instances alternate
         found.lost_steps.append(steps)
@@ -429,10 +439,17 @@ def gaps(
             continue
         found = _recoveries(seen, a.received, b.received)
         waits = [one.waiting for one in injected if BY_NAME[one.fault.kind].delays]
+        waits += unrepaired(seen, injected, a.received, b.received)
         explained = covered([*waits, *leaked, *unwatched(seen, injected)], a.received, b.received)
         allowed = seen.timeout + SWITCH + sum(_allowed(recovery) for recovery in found)
         strategy = max(found, key=_allowed).strategy if found else ""
         yield a.received, b.received - a.received - explained, strategy, allowed
+
+
+def unrepaired(seen: Seen, injected: Sequence[Injected], begin: float, end: float) -> list[tuple[float, float]]:
+    """Return the times without an operator in a silence if somebody tampered with the gate then, and the time to restore it."""
+    tampered = [one.begun for one in injected if one.fault.kind in TAMPERED and begin - REPAIR <= one.begun <= end]
+    return [(first, last + REPAIR) for first, last in seen.unled] if tampered else []
 
 
 def unwatched(seen: Seen, injected: Sequence[Injected]) -> Iterator[tuple[float, float]]:

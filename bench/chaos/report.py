@@ -73,6 +73,10 @@ def summarize(
         report.figure("time from a node's return to the last command of a fenced instance on it", caught_up, unit="s")
     if one_sided := [seconds for judgement in judgements for seconds in judgement.one_sided]:
         report.figure("time without commands on a link that loses packets, without a recovery", one_sided, unit="s")
+    if judgements and (unled := judgements[0].unled):
+        report.figure("time without an operator that leads", unled, unit="s")
+    if restarted := [steps for judgement in judgements for steps in judgement.restarted_unwatched]:
+        report.figure("steps lost by an instance that restarted in place without a monitor", restarted, unit="steps")
     if unwatched := [seconds for judgement in judgements for seconds in judgement.unwatched]:
         report.figure("time without a monitor after the loss of its node", unwatched, unit="s")
     counted("gaps beyond the bound of the strategy", "gap")

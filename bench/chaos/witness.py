@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from tests.e2e.faults import pod_logs, process_ids
 from tests.e2e.kubectl import Failed, Kubectl, Object
 from tests.support.cluster import Cluster, Refused
 from understudy.api import names
+from understudy.controller.runtime.process import LEASE
 
 PERIOD = 1.0
 """Seconds between two readings of pods and workloads."""
@@ -30,6 +32,9 @@ LOGS_PERIOD = 2.0
 
 WRITTEN = 1.0
 """Seconds to which the API server notes when an object was written."""
+
+RENEWED_WITHIN = 6.0
+"""Seconds between two renewals of the operator's lease, which are due every 2 s, up to which one leads."""
 
 FOLLOWING = 40
 """Lines of a traceback that are kept."""
@@ -84,6 +89,7 @@ class Witness:
         self._commits: dict[str, list[Commit]] = {names.gate(workload): [] for workload in workloads}
         self._nodes: dict[str, str] = {}
         self._monitors: dict[str, dict[float, str]] = {workload: {} for workload in workloads}
+        self._renewals: set[float] = set()
         self._read: dict[Path, int] = {}
         self.tracebacks: list[Traceback] = []
         self._ended = threading.Event()
@@ -127,6 +133,10 @@ class Witness:
     def monitors(self, workload: str) -> list[tuple[float, str]]:
         """Return when a monitor of a workload became ready, and on which node, in order."""
         return sorted(self._monitors[workload].items())
+
+    def unled(self) -> list[tuple[float, float]]:
+        """Return from when to when no operator led."""
+        return [(a, b) for a, b in pairwise(sorted(self._renewals)) if b - a > RENEWED_WITHIN]
 
     def _living(self) -> list[PodSeen]:
         return [pod for pod in self._pods.values() if not pod.deleted and pod.node]
@@ -193,6 +203,8 @@ class Witness:
             monitors |= {pod.ready_since: pod.node for pod in self.parts(workload, "monitor") if pod.ready_since}
         system = self._kubectl.in_namespace(SYSTEM).list("pods", "app.kubernetes.io/name=understudy")
         self._operators = [_pod(pod) for pod in system]
+        if (lease := self._kubectl.in_namespace(SYSTEM).find("lease", LEASE)) is not None:
+            self._renewals.add(unix(lease["spec"]["renewTime"]))
 
     def _follow_gates(self) -> None:
         cluster, lost = Cluster(self._kubectl.kubeconfig), 0.0

@@ -68,6 +68,8 @@ class Progress(Model):
     moments: dict[str, float] = Field(default_factory=dict)
     state: list[RestoredState] = Field(default_factory=list)
     """Which kept state was restored in the present attempt."""
+    given_restarts: int | None = None
+    """How often the target's containers had restarted when it had its state, before the gate opened; None if none was restored."""
     waiting: Waiter | None = None
     """Its place in the queue for a pod of a shared pool, while it waits. Other workloads read it next to the gate."""
     healthy_again: bool = Field(default=False, exclude=True)
@@ -181,7 +183,7 @@ class Progress(Model):
     def forget_attempt(self) -> None:
         """Drop the moments of an attempt without success, and keep those of the failure."""
         self.moments = {name: time for name, time in self.moments.items() if name in _OF_THE_FAILURE}
-        self.state = []
+        self.state, self.given_restarts = [], None
         self.waiting = None
 
     def note_state(self, report: RestoreReport) -> None:

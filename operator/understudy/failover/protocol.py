@@ -165,6 +165,10 @@ async def _loss(progress: Progress, context: StrategyContext, *, crashing_counts
         found = context.instances.find(uid)
         if found is not None and found.terminating:
             return f"pod {name} is being deleted"
+        had_state = progress.given_restarts is not None and "committed" in progress.moments
+        if had_state and found is not None and found.restarts > (progress.given_restarts or 0):
+            # Before the commit it would have been given its state again (steps.bring_up_and_open).
+            return f"a container of pod {name} restarted after it was given its state"
         if found is not None and found.running:
             if crashing_counts and found.crashing and not context.agents.is_ready(found)[0]:
                 return f"a container of pod {name} is crash-looping"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -57,7 +58,10 @@ async def serve(pages: Mapping[str, Page], port: int, *, host: str | None = "0.0
         except Exception:
             _logger.exception("a page failed")
         finally:
-            writer.close()
+            with contextlib.suppress(
+                RuntimeError
+            ):  # a request that arrives while the process ends outlives the event loop
+                writer.close()
 
     return await asyncio.start_server(handle, host, port, limit=16384)
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.unit.failover.world import Agents, Killed, Store, World
+from tests.unit.failover.world import Agents, Killed, Outputs, Store, World
 from understudy.api.protocol.kept_state import (
     KeptSample,
     KeptState,
@@ -133,6 +133,28 @@ async def test_a_failed_restoration_is_recorded_and_does_not_prevent_the_recover
         ("/controller (parameters)", False),
     ]
     assert done.to_recovery(1).state[1].message == "nobody subscribes to /initialpose within 5 s"
+
+
+class SlowOutputs(Outputs):
+    """The first output of an instance arrives some time after the gate has opened."""
+
+    async def first_from(self, instance: Instance, *, since: float) -> float:
+        await asyncio.sleep(0.3)
+        return await super().first_from(instance, since=since)
+
+
+async def test_an_instance_that_restarts_after_the_gate_has_opened_does_not_take_over_without_its_state() -> None:
+    made = store(pool="spare", held=True)
+    world = World(made)
+    context = replace(world.context(), outputs=SlowOutputs(world))
+    choices = [Choice(UninitializedFallback("spare"), 1.0), Choice(Restart(), 1.0)]
+    recovering = asyncio.create_task(recover(failure(world), choices, context))
+    while made.gate.active != "w-2":
+        await asyncio.sleep(0.01)
+    made.pods["w-2"] = replace(made.pods["w-2"], restarts=1)
+    done = await recovering
+    assert (done.result, made.gate.active) == ("Recovered", "w-new1")
+    assert done.attempts[0].message == "a container of pod w-2 restarted after it was given its state"
 
 
 class Starting(Agents):

@@ -150,7 +150,7 @@ class World:
             gate=_Gate(self),
             instances=_Instances(self),
             agents=Agents(self),
-            outputs=_Outputs(self),
+            outputs=Outputs(self),
             queue=_Queue(self),
             clock=self.clock,
             save=self._save,
@@ -381,7 +381,7 @@ class Agents(_Part):
         return ready, "" if ready else "no /cmd_vel for 500 ms"
 
 
-class _Outputs(_Part):
+class Outputs(_Part):
     @property
     def expected(self) -> Sequence[str]:
         return ["/cmd_vel"]

@@ -116,6 +116,7 @@ class Monitor:
         self.current = CurrentRecovery()
         self._view: ClusterView | None = None
         self.notices: Notices | None = None
+        self._observer: HealthObserver | None = None
         self.hindered_at = self.cut_off_at = self.recovered_at = robots.now
         """When (Unix seconds) something last kept it from noticing what its robot hears, and from acting; and its last recovery."""
 
@@ -148,6 +149,7 @@ class Monitor:
             self.recovered_at,
             self.hindered_at,
             self.cut_off_at,
+            frozenset(one.uid for one in self._observer.known_senders()) if self._observer else frozenset(),
         )
 
     def _make_agents(self, client: Client, view: ClusterView, roles: InstanceRoles) -> AgentConnections:
@@ -180,7 +182,9 @@ class Monitor:
             probes = self._make_probes()
             gate = GateControl(client, view, fleet, probes, self.fuse, notices)
             roles = InstanceRoles(view, gate, self.current)
-            agents, observer = self._make_agents(client, view, roles), cast(Any, self._make_observer())
+            agents = self._make_agents(client, view, roles)
+            self._observer = self._make_observer()
+            observer = cast(Any, self._observer)
             parts = Parts(
                 cluster=Cluster(view, fleet, gate),
                 senses=Senses(observer, agents, probes, cast(Any, RobotReaders()), roles, self.wakeups),

@@ -38,6 +38,8 @@ class Says:
     """Since when (Unix seconds) nothing has kept it from noticing."""
     acts_since: float
     """Since when (Unix seconds) it also reaches the API server."""
+    knows: frozenset[str] = frozenset()
+    """UIDs of the instances that it knows. One that came and went while it was cut off is a stranger to it."""
 
 
 @dataclass
@@ -125,7 +127,9 @@ class Drivers:
             lasts = now - max(since, says.unhindered_since) - 2 * max(found.period for found in self._heard(robot))
             if lasts >= NOTICED and says.health == "Healthy":
                 self._broken(f"{says.who} says that {robot} is Healthy, and {both} drive it for {lasts:.1f} s")
-            if says.sole != "False" and min(lasts, now - says.recovered_at) >= NOTICED:
+            is_stranger = any(found.uid not in says.knows for found in self._heard(robot))
+            may_say = {"False", "Unknown"} if is_stranger else {"False"}
+            if says.sole not in may_say and min(lasts, now - says.recovered_at) >= NOTICED:
                 self._broken(f"{says.who} says SoleDriver={says.sole}, and {both} drive {robot} for {lasts:.1f} s")
             acts = now - max(since, says.acts_since)
             if acts >= ENDED and any(self._ends(found) for found in self._heard(robot)):

@@ -41,6 +41,9 @@ _logger = logging.getLogger(__name__)
 
 LEASE = "understudy-operator"
 
+LOST = 3
+"""Exit status of an operator that lost its lease, after which the process starts again."""
+
 _STALLED = "the operator has not been able to list its objects for too long: see its log\n"
 _NOT_LISTED = "the operator has not listed all its objects yet\n"
 
@@ -120,16 +123,16 @@ async def lead(lease: Lease, operator: Operator) -> None:
 
 
 async def _first(tasks: set[asyncio.Task[None]]) -> int:
-    """Wait for the first task to end, and return the exit status: 0 if a signal ended the watches, 1 if a task failed."""
+    """Wait for the first task to end, and return the exit status: 0 if a signal ended the watches, LOST, or 1 if a task failed."""
     done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
     for task in done:
         error = task.exception() if not task.cancelled() else None
         if error is None:
             continue
         if isinstance(error, BaseExceptionGroup) and error.subgroup(LeadershipLost) is not None:
-            _logger.error("%s; ending", error.subgroup(LeadershipLost).exceptions[0])  # type: ignore[union-attr]
-        else:
-            _logger.error("%s ended", task.get_name(), exc_info=error)
+            _logger.error("%s; starting again", error.subgroup(LeadershipLost).exceptions[0])  # type: ignore[union-attr]
+            return LOST
+        _logger.error("%s ended", task.get_name(), exc_info=error)
         return 1
     return 0
 
@@ -146,8 +149,8 @@ def options(argv: Sequence[str]) -> tuple[argparse.Namespace, Options]:
     parser = argparse.ArgumentParser(
         prog="understudy operator",
         description="Reconciles RobotWorkloads, FailurePolicies and FallbackPools, while it holds the lease.",
-        epilog="Exit status: 0 if the operator was stopped, 1 if it lost the lease or one of its tasks failed, 2 "
-        "if --monitor-image is missing.",
+        epilog="Exit status: 0 if the operator was stopped, 1 if one of its tasks failed, 2 if --monitor-image is missing. "
+        "If it loses the lease, it starts again as a candidate.",
     )
     parser.add_argument(
         "--kubeconfig", help="kubeconfig to use instead of the pod's ServiceAccount (credential plugins are supported)"
@@ -264,4 +267,7 @@ def main(argv: Sequence[str]) -> int:
         return 1
     status = asyncio.run(run(access, chosen))
     sys.stderr.flush()
+    if status == LOST:
+        # A new process, so that nothing of the leader is left. The kubelet would wait for longer after each end.
+        os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
     return status

@@ -188,6 +188,7 @@ async def bring_up_and_open(
         if _restarts(target, context) == restarts:
             break
         _logger.info("%s has restarted since it was given its state: it is given again", target.name)
+    progress.given_restarts = restarts if any(entry.restored for entry in progress.state) else None
     await _expired(given, progress, context)
     await open_for(target, progress, context)
     await wait_enforced(target, progress, context)

@@ -77,6 +77,8 @@ class AgentConnections:
         self._unread_at: dict[str, float] = {}
         """When a Secret could not be read, by its name."""
         self._configured: dict[str, object] = {}
+        self._unconfigured: dict[str, str] = {}
+        """Why an agent could not be configured last, by its pod's UID."""
         self._instances: dict[str, Instance] = {}
         self._driving: dict[str, str] = {}
         self._confirmed_at = -math.inf
@@ -91,6 +93,7 @@ class AgentConnections:
         old = [uid for uid, link in self._links.items() if uid not in wanted or wanted[uid].ip != link.host]
         for uid in old:
             self._configured.pop(uid, None)
+            self._unconfigured.pop(uid, None)
             self._spawn(self._links.pop(uid).close())
         for uid, instance in wanted.items():
             if uid not in self._links:
@@ -231,8 +234,11 @@ class AgentConnections:
                 await self._confirm(epoch)
                 if self._configured.get(uid) == wanted:
                     await self._send_settings(link, wanted)
+                self._unconfigured.pop(uid, None)
             except (AgentGone, AgentRefused, NotVerified) as error:
-                _logger.warning("agent of %s not configured: %s", link.pod, error)
+                if self._unconfigured.get(uid) != str(error):  # it is tried again with each evaluation
+                    _logger.warning("agent of %s not configured: %s", link.pod, error)
+                self._unconfigured[uid] = str(error)
                 if self._configured.get(uid) == wanted:
                     self._configured.pop(uid)
 

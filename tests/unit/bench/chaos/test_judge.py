@@ -291,6 +291,26 @@ def test_a_robot_that_stands_for_longer_than_packets_were_lost_or_by_another_ins
     assert whats(found) == ["gap"]
 
 
+@pytest.mark.parametrize(("led_again", "expected"), [(15.0, []), (12.0, ["gap"])])
+def test_a_gate_that_somebody_deletes_stays_away_until_an_operator_leads(led_again: float, expected: list[str]) -> None:
+    commands, commits = log(drive("a", 1, 10), drive("a", 16, 20)), [Commit(0.0, 1, ("a",))]
+    found = judged(commands, fault("gate-delete", 10.0), commits=commits, unled=[(8.0, led_again)])
+    assert whats(found) == expected
+    assert whats(judged(commands, commits=commits, unled=[(8.0, led_again)])) == ["gap"], "nobody deleted it"
+
+
+@pytest.mark.parametrize(("lost", "expected"), [("node1", []), ("node2", ["state lost"])])
+def test_an_instance_that_restarts_in_place_while_no_monitor_watches_loses_state_until_one_does(
+    lost: str, expected: list[str]
+) -> None:
+    cut = replace(fault("node-cut", 8.0, 14.0), told=lost)
+    commands = log(drive("a", 1, 10), drive("a", 12, 20))
+    steps = {c.sequence: 1000 + c.sequence if c.received <= 10 else c.sequence for c in commands}
+    more: Any = {"steps": steps, "monitors": [(0.0, "node1"), (25.0, "node3")], "commits": [Commit(0.0, 1, ("a",))]}
+    found = judged(commands, KILLED, cut, **more)
+    assert [what for what in whats(found) if what == "state lost"] == expected
+
+
 def test_what_an_instance_did_after_it_was_fenced_is_no_lost_state() -> None:
     returned = [Command(15.0, "a", 0, 15.0, *[0.0] * 6)]
     commands = log(drive("a", 1, 10), drive("b", 10.62, 14.9), returned, drive("b", 15.01, 20))
