@@ -359,7 +359,7 @@ class MonitorLoop:
         self.act.supervise_standbys(policy, paused=paused)
         others = [i for i in self._pods.of_workload() if i.uid != self.act.switchovers.preparing]
         judged = self.judge.enforcement.judge(others)
-        self.act.reflexes.keep(time.time(), enforced=judged[0] == "True", paused=paused)
+        self.act.reflexes.keep(time.time(), enforced=judged, paused=paused)
         self.judge.enforcement.report(judged)
         self.judge.sole_driver.report(time.time())
         self.act.strays.look(*self.judge.sole_driver.unknown(time.time()))

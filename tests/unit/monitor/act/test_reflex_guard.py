@@ -84,12 +84,12 @@ class World:
         for _ in range(5):
             await asyncio.sleep(0)
 
-    async def keep(self, *, enforced: bool = True, paused: bool = False, seconds: float = 10.0) -> tuple[str, str]:
+    async def keep(self, *, enforced: str = "True", paused: bool = False, seconds: float = 10.0) -> tuple[str, str]:
         """Housekeeping for so long, while the pod in control goes on. Returns status and reason of the condition."""
         for _ in range(int(seconds)):
             self.now += 1
             self.arrives("w-1", *(time + 1 for time in self.arrivals("w-1")))
-            self.reflexes.keep(self.now, enforced=enforced, paused=paused)
+            self.reflexes.keep(self.now, enforced=(enforced, "Reason", "w-2 has net1."), paused=paused)
             await self.settle()
         return self.objects.notices.conditions["Reflex"][:2]
 
@@ -100,10 +100,16 @@ def world() -> World:
 
 
 async def test_a_healthy_weaker_standby_is_admitted_after_the_gate_was_proven(world: World) -> None:
-    assert await world.keep(enforced=False) == ("Unknown", "GateNotProven")
+    assert await world.keep(enforced="Unknown") == ("Unknown", "GateNotProven")
     assert not world.writes
     assert await world.keep(seconds=2) == ("True", "Armed")
     assert world.writes == ["w-2"], "written once"
+
+
+async def test_no_standby_is_admitted_while_the_gate_is_not_enforced_and_the_reason_is_reported(world: World) -> None:
+    assert await world.keep(enforced="False") == ("False", "GateNotProven")
+    assert not world.writes
+    assert "w-2 has net1." in world.message
 
 
 async def test_a_standby_is_admitted_after_it_was_ready_long_enough_for_the_proof(world: World) -> None:
@@ -243,7 +249,7 @@ async def test_a_takeover_is_checked_at_the_deadline_and_then_repeatedly_for_a_l
 
 
 async def test_a_clock_that_is_set_back_does_not_shut_out_a_standby(world: World) -> None:
-    await world.keep(enforced=False, seconds=1)
+    await world.keep(enforced="False", seconds=1)
     world.now -= 3600
     world.arrives("w-1", *(time - 3600 for time in world.arrivals("w-1")))
     assert await world.keep() == ("True", "Armed")

@@ -64,11 +64,11 @@ class ReflexGuard:
 
     # -- choose the standby -----------------------------------------------------------------------------------------
 
-    def keep(self, now: float, *, enforced: bool, paused: bool = False) -> None:
+    def keep(self, now: float, *, enforced: ConditionReport, paused: bool = False) -> None:
         """Let the best standby through, and report the state of the reflex.
 
-        ``enforced``: probes have shown that the gate blocks standbys. ``paused``: no standby may take over the robot,
-        whatever happens to the active pod.
+        ``enforced`` is the condition GateEnforced: a standby is let through only if it is True. ``paused``: no standby may take over the
+        robot, whatever happens to the active pod.
         """
         state = self._gate.state
         if state.admitted_uid != self._admitted[0]:
@@ -87,7 +87,7 @@ class ReflexGuard:
             if report[1] in ("Armed", "DeadlineTooShort", "StandbyTooStrong", "Blocked", "Ambiguous"):
                 self._notices.event(kind, f"Reflex{report[1]}", report[2])
 
-    def _choose(self, now: float, enforced: bool) -> tuple[Instance | None, ConditionReport]:
+    def _choose(self, now: float, enforced: ConditionReport) -> tuple[Instance | None, ConditionReport]:
         state = self._gate.state
         active = self._fleet.find(state.active_uid)
         if state.closed or active is None:
@@ -130,7 +130,9 @@ class ReflexGuard:
             topics = ", ".join(self._takeover.topics)
             return None, ("Unknown", "Measuring", f"Measuring how regularly {active.name} publishes {topics}.")
         best = max(weaker, key=lambda i: self._strength(i) or (0, 0))
-        if not enforced or now - self._ready_since[best.uid] < SETTLE:
+        if enforced[0] == "False":
+            return None, ("False", "GateNotProven", f"No standby is let through while GateEnforced is False: {enforced[2]}")
+        if enforced[0] != "True" or now - self._ready_since[best.uid] < SETTLE:
             why = f"Waiting for test packets to show that the gate blocks {best.name}."
             return None, ("Unknown", "GateNotProven", why)
         return best, self._armed(active, best, now)
