@@ -334,10 +334,8 @@ class MonitorLoop:
             await asyncio.sleep(PERIOD)  # first, since the last evaluation was just now and the recovery must not wait
             try:
                 await self._end_leaks_now(time.time())
-            except Exception:
-                _logger.exception(
-                    "ending leaks during a recovery"
-                )  # neither the recovery nor the next look ends with it
+            except Exception:  # neither the recovery nor the next look ends with it
+                _logger.exception("ending leaks during a recovery")
 
     async def _end_leaks_now(self, now: float) -> None:
         self.act.labels.follow()

@@ -58,9 +58,8 @@ async def serve(pages: Mapping[str, Page], port: int, *, host: str | None = "0.0
         except Exception:
             _logger.exception("a page failed")
         finally:
-            with contextlib.suppress(
-                RuntimeError
-            ):  # a request that arrives while the process ends outlives the event loop
+            # A request that arrives while the process ends outlives the event loop.
+            with contextlib.suppress(RuntimeError):
                 writer.close()
 
     return await asyncio.start_server(handle, host, port, limit=16384)
