@@ -131,7 +131,11 @@ class ReflexGuard:
             return None, ("Unknown", "Measuring", f"Measuring how regularly {active.name} publishes {topics}.")
         best = max(weaker, key=lambda i: self._strength(i) or (0, 0))
         if enforced[0] == "False":
-            return None, ("False", "GateNotProven", f"No standby is let through while GateEnforced is False: {enforced[2]}")
+            return None, (
+                "False",
+                "GateNotProven",
+                f"No standby is let through while GateEnforced is False: {enforced[2]}",
+            )
         if enforced[0] != "True" or now - self._ready_since[best.uid] < SETTLE:
             why = f"Waiting for test packets to show that the gate blocks {best.name}."
             return None, ("Unknown", "GateNotProven", why)
