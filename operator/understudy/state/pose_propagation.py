@@ -76,6 +76,11 @@ class Carrier:
         """The odometry topics that are needed, with their types."""
         return {pose.by.topic: pose.by.type for pose in self._poses.values()}
 
+    @property
+    def poses(self) -> Collection[str]:
+        """The kept topics whose poses are propagated."""
+        return self._poses.keys()
+
     # -- taking in --------------------------------------------------------------------------------------------------
 
     def kept(self, topic: str, data: bytes, *, taken_at: float) -> None:

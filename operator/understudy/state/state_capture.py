@@ -380,17 +380,22 @@ class Keeper:
         }
 
     def adopt(self, versions: Mapping[Key, Iterable[Version]], now: float) -> None:
-        """Continue with the versions of an earlier process. Items that the policy does not name are left out.
+        """Continue with the versions of another process that are newer than those here. Items that the policy does not name are left out.
 
         A version from the future was captured with a wrong clock, so that its age is unknown. It is left out too.
         """
         for key, old in versions.items():
             item = self._items.get(key)
-            if item is not None and not item.versions:
-                usable = (v for v in old if v.taken_at <= now and v.good_from <= now and self._is_wanted(key, v))
-                item.versions = sorted(usable, key=lambda v: v.good_from)
-                self._share(item)
-                item.count()
+            if item is None:
+                continue
+            usable = (v for v in old if v.taken_at <= now and v.good_from <= now and self._is_wanted(key, v))
+            last = item.versions[-1].good_from if item.versions else None
+            newer = sorted((v for v in usable if last is None or v.good_from > last), key=lambda v: v.good_from)
+            item.versions += newer
+            self._share(item)
+            if newer and last is not None:  # like versions that arrive one by one
+                self._thin(item, now)
+            item.count()
         self._fit(now)
         self.revision += 1
 

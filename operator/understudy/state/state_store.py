@@ -51,6 +51,8 @@ class StateStore:
         self._blobs: set[str] = set()
         self._boot = _boot()
         self._made = False
+        self._known: tuple[int, ...] = ()
+        """What identifies the index that this process loaded or saved last."""
         self.source: StateSource | None = None
         """The instance from which the loaded state is; None if that is not known."""
 
@@ -84,7 +86,7 @@ class StateStore:
             document["source"] = {"uid": source.uid, "restarts": source.restarts, "processes": processes}
         text = json.dumps(document, separators=(",", ":")).encode()
         body = struct.pack(">I", len(text)) + text + b"".join(parts)
-        _replace(self._index, _MAGIC + hashlib.sha256(body).digest() + body)
+        self._known = _replace(self._index, _MAGIC + hashlib.sha256(body).digest() + body)
         for name in self._blobs - needed:
             (self._directory / name).unlink(missing_ok=True)
         self._blobs, self._made = needed, True
@@ -103,7 +105,23 @@ class StateStore:
     def load(self) -> dict[Key, list[Version]]:
         """Return the stored state, with its times adjusted if the clock was set since. Damaged state is left out."""
         self._tidy()
+        return self._load()
+
+    def load_foreign(self, uid: str) -> dict[Key, list[Version]]:
+        """Return the state of an instance if another process has stored it since this one loaded or saved last; empty otherwise."""
         try:
+            if _identity(os.stat(self._index)) == self._known:
+                return {}
+        except OSError:
+            return {}
+        found = self._load()
+        return found if self.source is not None and self.source.uid == uid else {}
+
+    def _load(self) -> dict[Key, list[Version]]:
+        self.source = None
+        try:
+            # Before it is read: if it is replaced meanwhile, it is read again.
+            self._known = _identity(os.stat(self._index))
             raw = self._index.read_bytes()
         except FileNotFoundError:
             return {}
@@ -165,14 +183,20 @@ class StateStore:
             _logger.warning("%s: %s", self._directory, error)
 
 
-def _replace(path: Path, data: bytes) -> None:
+def _identity(found: os.stat_result) -> tuple[int, ...]:
+    return found.st_ino, found.st_mtime_ns, found.st_size
+
+
+def _replace(path: Path, data: bytes) -> tuple[int, ...]:
     target = str(path)
     temporary = f"{target}.new"
     with open(temporary, "wb", buffering=0) as file:
         view = memoryview(data)
         while view:
             view = view[file.write(view) :]
+        written = _identity(os.fstat(file.fileno()))
     os.replace(temporary, target)
+    return written
 
 
 def _boot() -> str:

@@ -19,7 +19,7 @@ from understudy.failover.interfaces import Instance
 from understudy.kube.agent_client import AgentGone
 from understudy.monitor.act.instances.state_manager import StateManager
 from understudy.ros.runtime.graph_node import Graph
-from understudy.state.state_store import StateStore
+from understudy.state.state_store import StateSource, StateStore
 
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
@@ -63,6 +63,7 @@ class Monitor:
         self.state_manager = StateManager(graph, StateStore(folder), self.agents, self.notices)  # type: ignore[arg-type]
         self.state, self.health, self.active = STATE, "Healthy", ACTIVE
         self.waiting: list[tuple[Instance, float]] = []
+        self.source: StateSource | None = None
 
     async def until(
         self, holds: Callable[[], object], within: float = 25.0, each: Callable[[], None] = lambda: None
@@ -72,10 +73,14 @@ class Monitor:
         while not holds():
             assert time.monotonic() < end, f"not within {within} s"
             each()
-            self.state_manager.take(self.state, {}, self.active.name)
-            self.state_manager.judge(self.health, time.time())  # type: ignore[arg-type]
-            self.state_manager.housekeeping(self.active, self.waiting)
+            self.look()
             await asyncio.sleep(0.02)
+
+    def look(self) -> None:
+        """Evaluate once."""
+        self.state_manager.take(self.state, {}, self.active.name)
+        self.state_manager.judge(self.health, time.time())  # type: ignore[arg-type]
+        self.state_manager.housekeeping(self.active, self.waiting, self.source)
 
     def x(self, onset: float | None = None) -> float | None:
         """Where the robot would be said to be."""

@@ -235,6 +235,23 @@ def test_state_kept_by_an_earlier_monitor_is_used() -> None:
     assert later.healthy_since is None
 
 
+def test_only_the_newer_state_of_another_monitor_is_adopted() -> None:
+    here, other = Keeper(state()), Keeper(state())
+    healthy(here, START, START + 20)
+    healthy(other, START + 10.02, START + 30)
+    before, revision = kept_at(here, START + 15), here.revision
+    here.adopt(other.versions(), START + 30)
+    assert kept_at(here, START + 15) == before, "its own state from before the other monitor began stays"
+    assert kept_at(here, START + 30) == kept_at(other, START + 30)
+    assert here.revision > revision
+    for second in range(31, 91):
+        healthy(other, START + second - 0.9, START + second)
+        here.adopt(other.versions(), START + second)
+    assert len(here.versions()[POSE]) <= len(other.versions()[POSE]) + 2, (
+        "versions that are close for their age are dropped"
+    )
+
+
 def test_state_kept_for_another_policy_is_not_used() -> None:
     earlier = Keeper(state())
     healthy(earlier, START, START + 5)

@@ -41,6 +41,20 @@ def test_the_instance_from_which_state_is_kept_is_loaded_with_it(tmp_path: Path,
     assert later.source == source
 
 
+def test_what_another_process_has_stored_of_an_instance_since_is_loaded_once(tmp_path: Path) -> None:
+    here, other, kept = StateStore(tmp_path), StateStore(tmp_path), versions()
+    other.save(kept, StateSource("uid-1", 0))
+    assert here.load() == kept
+    assert here.load_foreign("uid-1") == {}, "it is known"
+    other.save(kept, StateSource("uid-0", 0))
+    assert here.load_foreign("uid-1") == {}, "it is of a former instance"
+    other.save(fewer := {POSE: kept[POSE]}, StateSource("uid-1", 3))
+    assert here.load_foreign("uid-1") == fewer
+    assert here.source == StateSource("uid-1", 3)
+    here.save(kept, here.source)
+    assert here.load_foreign("uid-1") == {}, "it is this one's own"
+
+
 def test_an_empty_store_has_no_state(tmp_path: Path) -> None:
     assert StateStore(tmp_path / "none").load() == {}
 

@@ -30,10 +30,11 @@ from understudy.api.protocol.kept_state import KeptState, NotRestored
 from understudy.api.protocol.monitor_settings import PoolChoice
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import PodIdentity, Progress
+from understudy.monitor.act.instances import state_manager as module
 from understudy.monitor.act.instances.standby_supervision import receivers
 from understudy.ros.runtime.graph_node import Graph
 from understudy.state import state_capture as pure
-from understudy.state.state_store import StateStore
+from understudy.state.state_store import StateSource, StateStore
 
 pytestmark = pytest.mark.ros
 
@@ -165,6 +166,66 @@ async def test_state_that_a_recovery_selects_is_stored_although_older_state_is_b
     async with asyncio.timeout(10):
         while restored() != kept:
             await asyncio.sleep(0.05)
+
+
+async def test_a_monitor_that_does_not_hear_the_instance_restores_what_another_monitor_has_stored_since(
+    monitor: Monitor, say: Callable[[float], None], graph: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As after the loss of a node that comes back: its discovery server lives on beside the next one, and its monitor beside this one."""
+    monkeypatch.setattr(module, "PERSIST", 0.1)
+    monitor.source = StateSource(ACTIVE.uid, 0)
+    say(1.0)
+    await monitor.until(lambda: monitor.x() == 1.0 and StateStore(tmp_path).load())
+    deaf = Monitor(graph, tmp_path)
+    deaf.health = "Starting"
+    deaf.look()
+    say(2.0)
+    await monitor.until(lambda: monitor.x() == 2.0, each=deaf.look)
+    kept = monitor.state_manager.select_for_recovery(onset := time.time())
+    async with asyncio.timeout(10):
+        while deaf.state_manager.select(onset) != kept:
+            deaf.state_manager.housekeeping(None, ())  # the other monitor has closed the gate
+            await asyncio.sleep(0.02)
+    assert deaf.state_manager.source == monitor.source
+
+
+async def test_a_new_monitor_does_not_replace_what_another_monitor_stores_meanwhile(
+    graph: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "PERSIST", 0.02)
+    other, source = StateStore(tmp_path), StateSource(ACTIVE.uid, 0)
+    earlier, later = (
+        pure.Version(at, at, text, POSE) for at, text in ((time.time() - 9, b"a"), (time.time() - 1, b"b"))
+    )
+    other.save({pure.Key("Topic", "/amcl_pose"): [earlier]}, source)
+    here = Monitor(graph, tmp_path)
+    here.health = "Starting"
+    other.save({pure.Key("Topic", "/amcl_pose"): [earlier, later]}, source)
+    await here.until(lambda: [s.data for s in here.state_manager.select(time.time()).samples] == [b"b"], within=5.0)
+    assert [s.data for s in here.state_manager.select(time.time() - 5).samples] == [b"a"]
+
+
+async def test_a_pose_that_is_propagated_is_not_adopted_from_another_monitor(
+    graph: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The odometry that this monitor received belongs to the pose that it has."""
+    monkeypatch.setattr(module, "PERSIST", 0.02)
+    pose = {"topic": "/amcl_pose", "type": POSE, "restoreTo": "/initialpose", "carriedBy": {"topic": "/odom"}}
+    other, source = StateStore(tmp_path), StateSource(ACTIVE.uid, 0)
+    keys = [pure.Key("Topic", name) for name in ("/amcl_pose", "/plan_pose")]
+    earlier, later = (
+        pure.Version(at, at, text, POSE) for at, text in ((time.time() - 9, b"a"), (time.time() - 1, b"b"))
+    )
+    other.save({key: [earlier] for key in keys}, source)
+    here = Monitor(graph, tmp_path)
+    here.health, here.state = "Starting", State.model_validate({"keep": [pose, {"topic": "/plan_pose", "type": POSE}]})
+    other.save({key: [earlier, later] for key in keys}, source)
+
+    def selected() -> dict[str, bytes]:
+        return {sample.topic: sample.data for sample in here.state_manager.select(time.time()).samples}
+
+    await here.until(lambda: selected().get("/plan_pose") == b"b", within=5.0)
+    assert selected()["/amcl_pose"] == b"a"
 
 
 @pytest.mark.parametrize(("max_age", "useless"), [("1m", False), ("5s", True)])

@@ -83,7 +83,9 @@ class StateManager:
         self._steps = ClockSteps()
         self._period = self._next_take = 0.0
         self._active = ""
-        self._persisted: tuple[object, ...] = (self._keeper.revision, self.source)
+        self._driver = ""
+        """UID of the instance that is active, or was active last."""
+        self._persisted: tuple[object, ...] = self._revision
         self._persisting: asyncio.Task[None] | None = None
         self._next_persist = 0.0
         self._persist_again = False
@@ -166,6 +168,7 @@ class StateManager:
         if state == self._state:
             self._state = state
             return
+        is_first = self._state is None
         self._state, self._period = state, seconds(state.period)
         self._keeper.follow(state)
         self._capturing.follow({topic.topic: topic.type for topic in state.keep})
@@ -178,6 +181,8 @@ class StateManager:
             self._adopted = {}
             kept = self._keeper.select(time.time())
             self.adopted_nothing = not (kept.samples or kept.parameters or kept.lifecycle)
+        if is_first:
+            self._persisted = self._revision  # nothing is new, and another monitor may have stored more meanwhile
 
     def _follow_clock(self) -> None:
         """Shift all times if the clock was set, so that ages stay as they are."""
@@ -256,19 +261,29 @@ class StateManager:
         now = time.monotonic()
         if self._state is None:
             return
+        if active is not None:
+            self._driver = active.uid
         if source is not None and self._keeper.keys and self._keeper.healthy_since is not None:
             self.source = source
         self._persist(now)
+        self._follow_other_monitor(now)
         if self._keeper.keys or self._reported:
             self._inspect(now, active)
             self._note()
             self._report(now)
         self._keep_up(waiting, now)
 
+    @property
+    def _revision(self) -> tuple[object, ...]:
+        """What changes whenever there is something new to store."""
+        return (self._keeper.revision + self._carrier.revision, self.source)
+
+    @property
+    def _is_disk_busy(self) -> bool:
+        return self._persisting is not None and not self._persisting.done()
+
     def _persist(self, now: float, *, at_once: bool = False) -> None:
-        busy = self._persisting is not None and not self._persisting.done()
-        source = self.source
-        revision = (self._keeper.revision + self._carrier.revision, source)
+        busy, source, revision = self._is_disk_busy, self.source, self._revision
         self._persist_again |= busy and at_once
         if busy or (now < self._next_persist and not at_once) or revision == self._persisted or self._adopted:
             return
@@ -283,11 +298,38 @@ class StateManager:
                 self._persisted = revision
             except OSError as error:
                 _logger.error("could not store the kept state, so it is lost if the monitor restarts: %s", error)
-            if self._persist_again:  # a recovery selected newer state meanwhile
-                self._persist_again, self._persisting = False, None
-                self._persist(time.monotonic(), at_once=True)
+            self._persist_if_selected()
 
         self._persisting = asyncio.create_task(persist())
+
+    def _persist_if_selected(self) -> None:
+        """Store the state that a recovery selected while the disk was busy."""
+        if self._persist_again:
+            self._persist_again, self._persisting = False, None
+            self._persist(time.monotonic(), at_once=True)
+
+    def _follow_other_monitor(self, now: float) -> None:
+        """Adopt what another monitor of this workload has stored, while this one does not receive a healthy instance.
+
+        After the loss of a node that comes back, two monitors run for a while, and the new one may not hear the instance: DDS discovery
+        can last. Poses that are propagated are not adopted, because the odometry that this monitor received belongs to those that it has.
+        """
+        if self._is_disk_busy or self._adopted or now < self._next_persist or not self._keeper.keys:
+            return
+        if self._keeper.healthy_since is not None or not self._driver:
+            return
+        self._next_persist = now + PERSIST
+
+        async def adopt(driver: str) -> None:
+            found = await asyncio.to_thread(self._shelf.load_foreign, driver)
+            if found and driver == self._driver and self._keeper.healthy_since is None:
+                own = {key: versions for key, versions in found.items() if key.name not in self._carrier.poses}
+                self._keeper.adopt(own, time.time())
+                self.source = self._shelf.source
+                self._persisted = self._revision
+            self._persist_if_selected()
+
+        self._persisting = asyncio.create_task(adopt(self._driver))
 
     def _inspect(self, now: float, active: Instance | None) -> None:
         state = self._state
