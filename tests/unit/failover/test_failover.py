@@ -258,6 +258,17 @@ async def test_an_outage_of_the_api_server_fails_no_standby() -> None:
     assert (store.commits, store.deleted) == (["w-2"], ["w-1"])
 
 
+async def test_no_instance_is_asked_for_test_packets_before_an_api_server_that_was_away_has_committed() -> None:
+    store = protected(pool="hot")
+    world, store.away = World(store), True
+    recovering = asyncio.create_task(recover(failure(world), choices(ExecutingFallback("hot")), world.context()))
+    await asyncio.sleep(VERIFY_WITHIN)
+    assert not store.probed, "the gate may have been switched by another monitor meanwhile"
+    store.away = False
+    await recovering
+    assert "uid-w-2" in store.probed
+
+
 async def test_time_in_which_the_monitor_is_stalled_fails_no_standby() -> None:
     store = protected(pool="hot")
     store.broken.add("w-2")

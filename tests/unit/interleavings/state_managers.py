@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, cast
@@ -62,13 +63,14 @@ class ModelStateManager(StateManager):
     ) -> None:
         super().__init__(cast(Graph, None), StateStore(folder), agents, notices)
         self._capturing, self._states, self._workload, self._folder = samples, states, workload, folder
+        states.began(folder)
 
     def judge(self, health: Any, now: float) -> None:
         super().judge(health, now)
         for versions in self._keeper.versions().values():
-            self._states.kept(self._folder, float(versions[-1].data))
+            self._states.kept(self._folder, float(versions[-1].data), now)
 
     def select(self, onset: float) -> KeptState:
         state = super().select(onset)
-        self._states.selected(self._workload, self._folder, state, onset)
+        self._states.selected(self._workload, self._folder, state, onset, time.time())
         return state

@@ -98,22 +98,34 @@ async def close(progress: Progress, context: StrategyContext) -> None:
 async def open_for(target: Instance, progress: Progress, context: StrategyContext) -> None:
     """Open the gate for one instance and for no other: one write fences the former instance and routes this one."""
     progress.target = PodIdentity(name=target.name, uid=target.uid)
-    progress.moments["committing"] = context.clock()
-    await context.agents.probe(target, PROBE_SECONDS)
+    progress.moments["committing"] = began = context.clock()
+    # Without an answer of the API server, the gate may have been switched already, and nobody is commanded.
+    is_away = context.gate.unanswered_since is not None
+    if not is_away:
+        await context.agents.probe(target, PROBE_SECONDS)
     committing = asyncio.create_task(context.gate.commit(target, progress))
     try:
         # The commit carries the progress, so its request leaves first: it is created in one round of the event loop and
         # written in the next.
         for _ in range(2):
             await asyncio.sleep(0)
-        for instance in context.instances.of_workload():
-            if instance.uid != target.uid:  # a standby may leak too; without a burst it sends one probe a second
-                await context.agents.probe(instance, PROBE_SECONDS)
+        if not is_away:
+            await _probe_others(target, context)
         context.save(progress)
         await committing
     finally:
         committing.cancel()
-    progress.moments["committed"] = context.clock()
+    progress.moments["committed"] = committed = context.clock()
+    if is_away or committed - began >= PROBE_SECONDS:
+        await context.agents.probe(target, PROBE_SECONDS)
+        await _probe_others(target, context)
+
+
+async def _probe_others(target: Instance, context: StrategyContext) -> None:
+    """Have all instances but one send test packets: a standby may leak too, and sends only one a second by itself."""
+    for instance in context.instances.of_workload():
+        if instance.uid != target.uid:
+            await context.agents.probe(instance, PROBE_SECONDS)
 
 
 async def start_answered(target: Instance, context: StrategyContext, *, within: float) -> None:
