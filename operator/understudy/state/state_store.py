@@ -8,10 +8,12 @@ are left out.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import logging
 import os
+import secrets
 import struct
 import time
 from collections.abc import Mapping, Sequence
@@ -24,6 +26,9 @@ _logger = logging.getLogger(__name__)
 
 LARGE = 64 * 1024
 """Minimum size in bytes of a message that has a file of its own."""
+
+ABANDONED = 60.0
+"""Seconds after which a file that is not finished is not being written any more."""
 
 _MAGIC = b"USK1"
 _HEADER = struct.Struct(">4s32sI")
@@ -177,7 +182,9 @@ class StateStore:
         """Remove files that a killed process began to write. The next save removes messages that nothing refers to."""
         try:
             for path in self._directory.glob("*.new"):
-                path.unlink(missing_ok=True)
+                with contextlib.suppress(FileNotFoundError):  # another monitor has just finished it
+                    if time.time() - path.stat().st_mtime >= ABANDONED:
+                        path.unlink()
             self._blobs = {path.name for path in self._directory.glob("*.message")}
         except OSError as error:
             _logger.warning("%s: %s", self._directory, error)
@@ -189,7 +196,7 @@ def _identity(found: os.stat_result) -> tuple[int, ...]:
 
 def _replace(path: Path, data: bytes) -> tuple[int, ...]:
     target = str(path)
-    temporary = f"{target}.new"
+    temporary = f"{target}.{secrets.token_hex(4)}.new"  # two monitors may share the volume for a while
     with open(temporary, "wb", buffering=0) as file:
         view = memoryview(data)
         while view:

@@ -113,6 +113,7 @@ def test_a_process_that_is_killed_while_it_saves_leaves_the_previous_state(
 ) -> None:
     kept = versions()
     StateStore(tmp_path).save(kept)
+    monkeypatch.setattr(module, "ABANDONED", 0.0)
 
     def killed(source: Path, target: Path) -> None:
         raise KeyboardInterrupt
@@ -124,6 +125,21 @@ def test_a_process_that_is_killed_while_it_saves_leaves_the_previous_state(
                 StateStore(tmp_path).save({POSE: kept[POSE][:1], MAP: [Version(1.0, 1.0, os.urandom(2 * LARGE))]})
         assert StateStore(tmp_path).load() == kept
         assert not list(tmp_path.glob("*.new"))
+
+
+def test_a_store_does_not_disturb_another_process_that_writes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kept, replace = versions(), os.replace
+
+    def interrupted(source: str, target: str) -> None:
+        monkeypatch.setattr(module.os, "replace", replace)
+        other = StateStore(tmp_path)
+        other.load()
+        other.save({POSE: kept[POSE][:1]})
+        replace(source, target)
+
+    monkeypatch.setattr(module.os, "replace", interrupted)
+    StateStore(tmp_path).save({POSE: kept[POSE]})
+    assert StateStore(tmp_path).load() == {POSE: kept[POSE]}
 
 
 def test_loaded_times_follow_a_clock_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
