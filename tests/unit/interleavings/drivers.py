@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
@@ -39,7 +39,7 @@ class Says:
     acts_since: float
     """Since when (Unix seconds) it also reaches the API server."""
     knows: frozenset[str] = frozenset()
-    """UIDs of the instances that it knows. One that came and went while it was cut off is a stranger to it."""
+    """UIDs of the instances that it knows. One that came or went while it was cut off, or before it began, may be a stranger to it."""
 
 
 @dataclass
@@ -69,6 +69,8 @@ class Drivers:
         self._drives: dict[str, dict[str, list[Drive]]] = {}
         """By robot and UID."""
         self._recorded: set[str] = set()
+        self.knows: Callable[[str], Collection[str]] = lambda who: ()
+        """Returns the UIDs of the instances that a monitor knows. It reports others as unknown senders, and does no more about them."""
         self.doubled = self.safe_commands = 0
         """Seconds for which robots had a second driver, and safe commands that robots received."""
 
@@ -95,7 +97,8 @@ class Drivers:
             return
         self._recorded.add(recovery["id"])
         verified = datetime.fromisoformat(recovery["moments"]["verified"]).timestamp()
-        for drive in (drive for drives in self._drives.get(robot, {}).values() for drive in drives):
+        known = self.knows(by)
+        for drive in (drive for uid, drives in self._drives.get(robot, {}).items() if uid in known for drive in drives):
             if drive.name == recovery["toPod"] or drive.period > PERIOD_MOST:
                 continue
             if drive.since <= verified - drive.period - BEFORE and drive.until > verified:
@@ -125,10 +128,10 @@ class Drivers:
         now, both = self._clock(), " and ".join(sorted(found.name for found in self._heard(robot)))
         for says in monitors:
             lasts = now - max(since, says.unhindered_since) - 2 * max(found.period for found in self._heard(robot))
-            if lasts >= NOTICED and says.health == "Healthy":
-                self._broken(f"{says.who} says that {robot} is Healthy, and {both} drive it for {lasts:.1f} s")
             is_stranger = any(found.uid not in says.knows for found in self._heard(robot))
             may_say = {"False", "Unknown"} if is_stranger else {"False"}
+            if lasts >= NOTICED and says.health == "Healthy" and not (is_stranger and says.sole == "Unknown"):
+                self._broken(f"{says.who} says that {robot} is Healthy, and {both} drive it for {lasts:.1f} s")
             if says.sole not in may_say and min(lasts, now - says.recovered_at) >= NOTICED:
                 self._broken(f"{says.who} says SoleDriver={says.sole}, and {both} drive {robot} for {lasts:.1f} s")
             acts = now - max(since, says.acts_since)

@@ -54,6 +54,7 @@ class SimulatedCluster:
         self.robots.restored = self.invariants.kept_states.given
         self.robots.commanded = self.invariants.commands.carried_out
         self.robots.commanded_safely = self.invariants.drivers.commanded_safely
+        self.invariants.drivers.knows = self._known_to
         self.server.changed = self._written
         self.network.noted = self.robots.noted = self.note
         self.network.sending = self._sends
@@ -141,6 +142,10 @@ class SimulatedCluster:
             phase = (item.get("status") or {}).get("phase", "Pending")
             text = "gone" if new is None else "leaving" if "deletionTimestamp" in item["metadata"] else phase
             self.note(f"  pod {item['metadata']['name']} {text}, by {by}")
+
+    def _known_to(self, monitor: str) -> frozenset[str]:
+        says = (one.says() for one in self.monitors if str(one.process) == monitor)
+        return frozenset[str]().union(*(one.knows for one in says if one is not None))
 
     def _output_received(self, robot: str) -> None:
         self.invariants.routed(robot)

@@ -83,6 +83,19 @@ async def test_a_commit_of_somebody_else_is_not_undone(
     assert (gate.state.active, gate.state.epoch) == (other.name if other else "", 6)
 
 
+async def test_a_commit_that_ends_the_recovery_of_another_monitor_keeps_the_pods_that_failed_in_it(
+    client: MemoryClient, found: ClusterView, tmp_path: Path
+) -> None:
+    gate, other, progress = await open_gate(client, found, tmp_path, STANDBY), recovery(STANDBY), recovery()
+    await gate.commit(None, other)
+    await gate.commit(THIRD, progress)
+    assert [pod.name for pod in progress.failed] == [FAILED.name, STANDBY.name]
+    third = recovery(THIRD)
+    await gate.commit(None, third)
+    await gate.commit(STANDBY, following := recovery())
+    assert [pod.name for pod in following.failed] == [FAILED.name, THIRD.name], "not the one that it lets through"
+
+
 async def test_a_recovery_does_not_shut_out_a_pod_that_it_is_not_about(
     client: MemoryClient, found: ClusterView, tmp_path: Path
 ) -> None:

@@ -120,6 +120,8 @@ class GateControl:
         is_away = was_overtaken = False
         name, uid = (target.name, target.uid) if target else ("", "")
         self._crash_points.step("before commit")
+        if progress is not None:
+            _adopt_failures(progress, beside(previous.recovery), uid)
         recovery = progress.model_copy(update={"epoch": previous.epoch + 1}).record() if progress else ""
         waits_for = progress.waiting.pool if progress is not None and progress.waiting is not None else ""
         if progress is not None:
@@ -394,3 +396,11 @@ async def _judged_again(progress: Progress) -> None:
     while 0 < progress.judged_at < answered + HEARD_AGAIN and now < answered + JUDGED_WITHIN:
         await asyncio.sleep(JUDGED_WITHIN / 20)
         now = loop.time()
+
+
+def _adopt_failures(progress: Progress, other: Progress | None, target_uid: str) -> None:
+    """Add the pods that failed in another monitor's recovery, which a commit ends: no other record has them, and they are to be deleted."""
+    if other is not None and other.id != progress.id and other.result == "Running":
+        for pod in other.failed:
+            if pod.uid != target_uid:
+                progress.fail(pod)
