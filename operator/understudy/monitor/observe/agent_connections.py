@@ -343,7 +343,7 @@ class AgentConnections:
         await link.request(RENEW_PERMIT, body, within=ANSWER_LATE, epoch=epoch)
 
     async def start(self, instance: Instance) -> None:
-        """Start the held processes of a claimed instance with this robot's settings. May be repeated."""
+        """Start the held processes of a claimed instance with this robot's settings. May be repeated. Raises NotVerified."""
         settings = self._view.settings
         assert settings is not None, "the cluster view has started, so there are settings"
         self._crash_points.step("before start")
@@ -357,6 +357,8 @@ class AgentConnections:
             except AgentGone as error:
                 _logger.warning("start of %s: %s", instance.name, error)
                 await asyncio.sleep(RETRY)
+            except AgentRefused as error:  # as if another monitor has switched the gate since
+                raise NotVerified(str(error)) from error
         self._crash_points.step("after start")
 
     async def up(self, instance: Instance) -> float:

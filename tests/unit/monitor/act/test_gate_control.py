@@ -13,7 +13,7 @@ from tests.unit.monitor.cluster_objects import ClusterObjects
 from tests.unit.monitor.gates import gate as open_gate
 from understudy.api import names
 from understudy.failover import pinned
-from understudy.failover.interfaces import GateState, Instance, Superseded
+from understudy.failover.interfaces import GateState, Instance, NoLongerNeeded, Superseded
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import NETWORK_POLICIES, ApiError, Object
 from understudy.kube.gates.base import GateRecord
@@ -257,6 +257,17 @@ async def test_a_commit_over_a_gate_that_was_written_meanwhile_is_repeated_at_on
     async with asyncio.timeout(5):
         await gate.commit(None, recovery())
     assert gate.state.closed
+
+
+async def test_an_instance_whose_gate_somebody_has_deleted_is_not_fenced_for_its_silence(
+    client: MemoryClient, found: ClusterView, tmp_path: Path
+) -> None:
+    gate = await open_gate(client, found, tmp_path, FAILED)
+    await client.delete(NETWORK_POLICIES, "fleet", "w-gate")
+    await client.create(NETWORK_POLICIES, "fleet", GATE.closed("w", epoch=4))
+    with pytest.raises(NoLongerNeeded, match="somebody deleted the gate"):
+        await gate.commit(STANDBY, recovery())
+    assert (gate.state.closed, gate.state.epoch) == (True, 4)
 
 
 async def test_a_commit_is_tried_again_soon_once_the_api_server_answers_again(

@@ -108,7 +108,8 @@ class GateControl:
 
         Tries again until the API server answers. Raises ApiError if it refuses, and Superseded if the gate does not exist or
         another writer changed it: during this commit, since the last commit of this recovery, or for a pod that this recovery
-        is not about. Raises NoLongerNeeded if the instance that it would fence is healthy again.
+        is not about. Raises NoLongerNeeded if the instance that it would fence is healthy again, or was silent because somebody deleted
+        the gate.
         """
         previous = self.record
         if previous is None:
@@ -157,6 +158,9 @@ class GateControl:
                 await asyncio.sleep(retry)
                 retry = min(2 * retry, RETRY_MOST)
             read = await self._reread(previous, uid, recovery)
+            is_new = read is not None and read.epoch == previous.epoch and not read.active
+            if is_new and progress is not None and self._fences_first(previous, progress):
+                raise NoLongerNeeded(f"somebody deleted the gate, and {previous.active} could not reach the robot then")
             record = read or record
             if record.epoch > previous.epoch:
                 self._own = (self._own[0], record.epoch, recovery)
