@@ -240,6 +240,9 @@ class Monitor:
     async def ready(self, instance: Instance) -> float:
         return time.time()
 
+    def is_ready(self, instance: Instance) -> tuple[bool, str]:
+        return True, ""
+
     async def wait(self, uid: str, since: float) -> float:
         return time.time()
 
