@@ -149,8 +149,13 @@ class Monitor:
             self.recovered_at,
             self.hindered_at,
             self.cut_off_at,
-            frozenset(one.uid for one in self._observer.known_senders()) if self._observer else frozenset(),
+            self.knows,
         )
+
+    @property
+    def knows(self) -> frozenset[str]:
+        """The UIDs of the instances that it knows."""
+        return frozenset(one.uid for one in self._observer.known_senders()) if self._observer else frozenset()
 
     def _make_agents(self, client: Client, view: ClusterView, roles: InstanceRoles) -> AgentConnections:
         return AgentConnections(client, view, self.workload, self.fuse, roles, self.wakeups)

@@ -144,8 +144,7 @@ class SimulatedCluster:
             self.note(f"  pod {item['metadata']['name']} {text}, by {by}")
 
     def _known_to(self, monitor: str) -> frozenset[str]:
-        says = (one.says() for one in self.monitors if str(one.process) == monitor)
-        return frozenset[str]().union(*(one.knows for one in says if one is not None))
+        return frozenset[str]().union(*(one.knows for one in self.monitors if str(one.process) == monitor))
 
     def _output_received(self, robot: str) -> None:
         self.invariants.routed(robot)
