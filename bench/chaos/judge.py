@@ -253,12 +253,12 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
         violation("stale command", switch, text)
     found.unled = [end - begin for begin, end in seen.unled]
     found.unwatched = [end - LISTENS - begin for begin, end in unwatched(seen, theirs) if not math.isinf(end)]
+    lossy = [
+        (one.begun, one.ended + BY_NAME[one.fault.kind].after)
+        for one in theirs
+        if BY_NAME[one.fault.kind].loses_packets and one.fault.victim != STANDBY
+    ]
     for begin, length, strategy, allowed in gaps(seen, theirs, leaked):
-        lossy = [
-            (one.begun, one.ended + BY_NAME[one.fault.kind].after)
-            for one in theirs
-            if BY_NAME[one.fault.kind].loses_packets and one.fault.victim != STANDBY
-        ]
         lost = covered(lossy, begin, begin + length)
         if lost and not strategy and length - lost <= allowed:
             found.one_sided.append(length)

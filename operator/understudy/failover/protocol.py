@@ -165,9 +165,9 @@ async def _loss(progress: Progress, context: StrategyContext, *, crashing_counts
         found = context.instances.find(uid)
         if found is not None and found.terminating:
             return f"pod {name} is being deleted"
-        had_state = progress.given_restarts is not None and "committed" in progress.moments
-        if had_state and found is not None and found.restarts > (progress.given_restarts or 0):
-            # Before the commit it would have been given its state again (steps.bring_up_and_open).
+        # Before the commit, it is given its state again (steps.bring_up_and_open).
+        given_restarts = progress.given_restarts if "committed" in progress.moments else None
+        if found is not None and given_restarts is not None and found.restarts > given_restarts:
             return f"a container of pod {name} restarted after it was given its state"
         if found is not None and found.running:
             if crashing_counts and found.crashing and not context.agents.is_ready(found)[0]:
