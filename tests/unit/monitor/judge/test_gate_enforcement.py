@@ -141,16 +141,25 @@ def test_enforcement_is_judged_again_after_the_gate_admits_another_pod(
     assert notices.conditions["GateEnforced"][1] == "NotEnforced", "what was seen before stands"
 
 
+def just_opened(
+    monkeypatch: pytest.MonkeyPatch, readers: Readers, interfaces: Interfaces
+) -> tuple[GateEnforcement, ClusterObjects, Clock]:
+    """A gate that was opened for the active instance at NOW, whose packets pass it."""
+    objects, clock = ClusterObjects(), Clock(NOW)
+    objects.put_gate(GateState(epoch=3, active="w-1", active_uid="uid-w-1"))
+    objects.packets["uid-w-1"] = NOW + SETTLE
+    monkeypatch.setattr(gate_enforcement, "time", clock)
+    enforced = GateEnforcement(objects.gate, objects.proof, objects.notices, readers, interfaces)
+    enforced.update(NOW)
+    return enforced, objects, clock
+
+
 def test_a_reader_that_the_gate_does_not_reach_means_that_it_is_not_enforced(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    objects, clock, readers = ClusterObjects(), Clock(NOW), Readers()
-    objects.put_gate(GateState(epoch=3, active="w-1", active_uid="uid-w-1"))
+    readers = Readers()
+    enforced, objects, clock = just_opened(monkeypatch, readers, Interfaces())
     last, notices = objects.packets, objects.notices
-    last["uid-w-1"] = NOW + SETTLE
-    monkeypatch.setattr(gate_enforcement, "time", clock)
-    enforced = GateEnforcement(objects.gate, objects.proof, notices, readers, Interfaces())
-    enforced.update(NOW)
     clock.now = NOW + SETTLE + 1
     assert enforced.judge([ACTIVE, STANDBY])[:2] == ("True", "SeenFromPackets")
     readers.ungated = "The gate does not reach who reads /cmd_vel."
@@ -165,13 +174,9 @@ def test_a_reader_that_the_gate_does_not_reach_means_that_it_is_not_enforced(
 def test_a_further_interface_of_an_instance_means_that_the_gate_is_not_enforced(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    objects, clock, interfaces = ClusterObjects(), Clock(NOW), Interfaces("w-2 has net1 (192.168.7.2).")
-    objects.put_gate(GateState(epoch=3, active="w-1", active_uid="uid-w-1"))
+    interfaces = Interfaces("w-2 has net1 (192.168.7.2).")
+    enforced, objects, clock = just_opened(monkeypatch, Readers(), interfaces)
     last, notices = objects.packets, objects.notices
-    last["uid-w-1"] = NOW + SETTLE
-    monkeypatch.setattr(gate_enforcement, "time", clock)
-    enforced = GateEnforcement(objects.gate, objects.proof, notices, Readers(), interfaces)
-    enforced.update(NOW)
     assert enforced.judge([ACTIVE, STANDBY])[1] == "Settling"
     clock.now = NOW + SETTLE + 1
     assert enforced.judge([ACTIVE, STANDBY]) == ("False", "FurtherInterfaces", interfaces.sentence)
