@@ -91,13 +91,18 @@ def test_a_leader_that_is_terminated_hands_over_at_once(fleet: Fleet) -> None:
             until(lambda: leader(fleet) == "two", "the other to lead", seconds=6)
 
 
-def test_a_lost_lease_ends_the_process(fleet: Fleet) -> None:
-    with process(fleet, "one") as one:
-        until(lambda: leader(fleet) == "one", "a leader", seconds=60)
+def test_an_operator_that_loses_its_lease_starts_again_and_stands_by(fleet: Fleet) -> None:
+    with socket.create_server(("", 0)) as free:
+        port: int = free.getsockname()[1]
+    with process(fleet, "one", port) as one:
+        until(lambda: leader(fleet) == "one" and ready(port), "a leader", seconds=60)
         lease = fleet.cluster.get("coordination.k8s.io/v1", "Lease", running.LEASE, fleet.namespace)
-        fleet.cluster.patch(lease, {"spec": {"holderIdentity": "thief", "leaseDurationSeconds": 60}})
-        assert one.wait(20) == 1
+        fleet.cluster.patch(lease, {"spec": {"holderIdentity": "thief", "leaseDurationSeconds": 20}})
+        until(lambda: not ready(port), "it to stop", seconds=20)
+        until(lambda: ready(port), "it to start again", seconds=15)
         assert leader(fleet) == "thief"
+        until(lambda: leader(fleet) == "one", "it to lead again", seconds=60)
+        assert one.poll() is None
 
 
 def test_an_operator_that_does_not_lead_writes_nothing(fleet: Fleet) -> None:

@@ -1,7 +1,7 @@
 """The operator's process: ``understudy operator``.
 
 Both replicas watch, so that the one that takes over already knows the cluster. Only the holder of the Lease acts. If it
-loses the lease, the process ends, because only that is certain to stop a write in progress.
+loses the lease, its process is replaced by a new one, because only that is certain to stop a write in progress.
 """
 
 from __future__ import annotations
