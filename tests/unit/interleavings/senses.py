@@ -123,6 +123,10 @@ class HealthObserver:
         found = self._at(instance.ip)
         return found is not None and found.up
 
+    def others_discovered(self, instance: Instance) -> bool:
+        """Always: the robot's reader."""
+        return True
+
     def expect_samples(self, *, since: float, heard_from: float) -> None:
         self._expected_since, self._expected_by = since, heard_from + HEARD_WITHIN
 

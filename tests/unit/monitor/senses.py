@@ -83,6 +83,8 @@ class GivenObserver(HealthObserver):
         """Pods that cannot be distinguished from others."""
         self.undiscovered: set[str] = set()
         """UIDs of the instances of which discovery has found no output."""
+        self.is_alone = False
+        """Whether discovery has found nobody else."""
         self.searched: list[str] = []
         """UIDs of the instances of which it was asked for, each time."""
         self.senders: list[KnownSender] = []
@@ -142,6 +144,9 @@ class GivenObserver(HealthObserver):
     def discovered(self, instance: Instance) -> bool | None:
         self.searched.append(instance.uid)
         return instance.uid not in self.undiscovered if host_at(instance.ip) else None
+
+    def others_discovered(self, instance: Instance) -> bool:
+        return not self.is_alone
 
     def expect_samples(self, *, since: float, heard_from: float) -> None:
         return

@@ -141,13 +141,17 @@ class FailureDetector:
 
         Discovery takes a moment after the start, and the network of this monitor or of the instance may be down. If the discovery server
         has just restarted, it may report the robot long before the instance. A monitor without a writer of the instance knows nothing
-        about its silence, unless Kubernetes reports the pod as not ready, as on a node that is lost.
+        about its silence, unless the instance's node is lost: Kubernetes reports the pod as not ready, its agent cannot be reached, and
+        the monitor has discovered somebody else. The report alone proves nothing. After an outage of the API server, nodes count as lost
+        that only could not renew their leases.
         """
         if self._driven_epoch is None:
             return
         if self._driven_epoch != self._gate.state.epoch:
             self._driven_epoch = None  # the gate was opened for another instance since, which is new
-        elif self._observer.discovered(active) or not active.ready:
+        elif self._observer.discovered(active) or (
+            not active.ready and self._agents.status(active) is None and self._observer.others_discovered(active)
+        ):
             self._driven_epoch, self._heard_from = None, CLOCK.of_system(now)
             self._expect_samples(since)
 

@@ -139,13 +139,13 @@ def test_a_debounce_is_not_prolonged_by_a_clock_that_is_set_back() -> None:
 
 
 def judging_silence(
-    leaf: dict[str, str], *, driven_epoch: int | None, discovered: bool = True
+    leaf: dict[str, str], *, driven_epoch: int | None, discovered: bool = True, status: AgentStatus | None = None
 ) -> tuple[FailureDetector, Evaluating]:
     """A new monitor's detector at epoch 3 of the gate, whose policy has this leaf about /cmd_vel. Nothing is received."""
     monitoring = Monitoring.model_validate({"yaml": {"topic": {"name": "/cmd_vel", **leaf}}})
     observing = Evaluating(load_monitoring(monitoring), TopicRecord())
     observing.undiscovered = set() if discovered else {"uid-1"}
-    judging = detector(observer=observing, driven_epoch=driven_epoch)
+    judging = detector(observer=observing, driven_epoch=driven_epoch, status=status)
     observing.tree_begins(judging.since)
     return judging, observing
 
@@ -203,6 +203,27 @@ def test_an_instance_that_is_not_discovered_and_not_ready_has_no_second_startup_
     assert judging.verdict(lost, start).state == "Starting"
     assert judging.verdict(lost, start + 4.9).state == "Starting"
     assert judging.verdict(lost, start + 5.1).state == "Failed"
+
+
+def test_a_monitor_that_has_discovered_nobody_does_not_believe_that_the_instance_is_not_ready() -> None:
+    """After an outage of the API server, nodes count as lost. The discovery server and this monitor were just evicted from one."""
+    judging, observing = judging_silence({"gap": "500ms"}, driven_epoch=3, discovered=False)
+    observing.is_alone = True
+    start, unready = judging.since, replace(ACTIVE, ready=False)
+    assert judging.verdict(unready, start + 10).state == "Starting"
+    observing.is_alone = False
+    assert judging.verdict(unready, start + 20).state == "Starting"
+    assert judging.verdict(unready, start + 24.9).state == "Starting"
+    assert judging.verdict(unready, start + 25.1).state == "Failed"
+
+
+def test_an_instance_whose_agent_answers_is_not_on_a_lost_node() -> None:
+    status = AgentStatus("Running", ready_at=time.time() - 900, ready=True)
+    judging, _ = judging_silence({"gap": "500ms"}, driven_epoch=3, discovered=False, status=status)
+    start, unready = judging.since, replace(ACTIVE, ready=False)
+    assert judging.verdict(unready, start).state == "Starting"
+    assert judging.verdict(unready, start + 29.9).state == "Starting"
+    assert judging.verdict(unready, start + 30.1).state == "Failed"
 
 
 def test_an_instance_that_is_never_discovered_fails_as_soon_as_its_agent_reports_that_it_is_not_ready() -> None:

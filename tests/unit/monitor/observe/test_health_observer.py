@@ -28,6 +28,7 @@ from understudy.failover.interfaces import GateState, Instance
 from understudy.monitor.judge.failure_detection import FailureDetector
 from understudy.monitor.observe.robot import degraded_tree, health_observer
 from understudy.monitor.observe.robot.health_observer import HealthObserver
+from understudy.monitor.observe.robot.known_senders import host_at
 from understudy.ros.runtime.graph_node import Graph
 from understudy.trees.languages.short import health_loader
 from understudy.trees.leaves.custom_leaf import kind_of
@@ -147,6 +148,22 @@ def test_an_instance_is_discovered_by_an_endpoint_of_an_output_on_its_own_host(o
     publisher(observer, "/beat", String)
     until(observer, lambda: observer.discovered(here))
     other.close()
+
+
+def test_a_reader_on_a_further_host_is_somebody_else_than_the_instance_and_this_monitor(
+    observer: HealthObserver,
+) -> None:
+    observer.follow(
+        _policy({"topic": {"name": "/beat", "gap": "1s"}}),
+        parsed_spec(outputs=[{"topic": "/beat", "type": "std_msgs/msg/String"}]),
+    )
+    instance = Instance("w-1", "uid-1", ip="10.99.0.1")
+    until(observer, lambda: observer.graph.subscribers("/beat"))
+    observer.own_host = host_at(own_address(observer))
+    assert not observer.others_discovered(instance)
+    observer.own_host = host_at("10.99.0.2")
+    assert observer.others_discovered(instance)
+    assert not observer.others_discovered(Instance("w-1", "uid-1", ip=own_address(observer)))
 
 
 def test_whether_an_instance_is_discovered_is_unknown_without_an_ipv4_address_or_outputs(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import logging
 import time
 from collections.abc import Collection, Sequence
@@ -278,6 +279,16 @@ class HealthObserver:
         if not host or not self._outputs:
             return None
         return any(MIDDLEWARE.host_of(end.gid) == host for one in self._outputs for end in self.graph.endpoints(one))
+
+    def others_discovered(self, instance: Instance) -> bool:
+        """Return whether discovery has found an endpoint of an output, such as the robot's reader, on a host that is neither the instance's
+        nor this monitor's. True if this monitor's own host is not known."""
+        if not self.own_host:
+            return True
+        known = {b"", self.own_host, host_at(instance.ip)}
+        ends = (end for one in self._outputs for end in self.graph.endpoints(one))
+        readers = (end for topic in self.output_topics for end in self.graph.subscribers(topic))
+        return any(MIDDLEWARE.host_of(end.gid) not in known for end in itertools.chain(ends, readers))
 
     def degraded_verdict(self, *, now: float, since: float) -> Verdict:
         """Return the verdict of the tree of ``spec.degraded`` on the active instance. Times are Unix seconds."""
