@@ -182,6 +182,8 @@ class Judgement:
     recoveries: Counter[str] = field(default_factory=Counter)
     caught_up: list[float] = field(default_factory=list)
     """Seconds from the return of a node that was cut off to the last command of a fenced instance on it, if that was soon enough."""
+    unlearned: list[float] = field(default_factory=list)
+    """Seconds for which a fenced instance went on alone while the API server failed, so that no node learned of the fence."""
     repaired: list[float] = field(default_factory=list)
     """Seconds from tampering to the last command that it let through, if that was soon enough."""
     unled: list[float] = field(default_factory=list)
@@ -232,6 +234,11 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
         first, after = group[0]
         last_of_group = group[-1][0].received
         if undone(first.received, last_of_group) or is_late_network(first.received, last_of_group, first.source):
+            continue
+        outages = [one.waiting for one in injected if one.fault.kind in API]
+        late = group[-1][1]
+        if late <= covered(outages, last_of_group - late, last_of_group) + ENFORCEMENT:
+            found.unlearned.append(late)
             continue
         if math.isinf(after):
             found.strangers += len(group)

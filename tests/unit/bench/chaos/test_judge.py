@@ -72,6 +72,19 @@ def test_an_instance_on_a_node_that_was_cut_may_drive_until_its_network_has_caug
     assert sorted(set(whats(found))) == expected
 
 
+@pytest.mark.parametrize(
+    ("begun", "last", "expected"),
+    [(10.0, 11.8, []), (10.0, 21.0, ["fenced instance"]), (13.0, 11.8, ["fenced instance"])],
+)
+def test_a_fenced_instance_may_drive_alone_while_the_api_server_fails_so_that_no_node_learns_of_the_fence(
+    begun: float, last: float, expected: list[str]
+) -> None:
+    commands = log(drive("a", 1, last), drive("b", last + 0.5, 30))
+    flap = fault("api-flap", begun, begun + 5.0, robot=-1, number=2)
+    found = judged(commands, KILLED, flap, recoveries=[recovery(10.5, 10.6)])
+    assert [what for what in whats(found) if what == "fenced instance"] == expected
+
+
 def test_the_gate_may_be_closed_for_a_while_if_the_network_of_a_node_that_returned_lets_a_fenced_instance_through() -> (
     None
 ):
