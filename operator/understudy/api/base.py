@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from pydantic.alias_generators import to_camel
+from pydantic_core import PydanticCustomError
 
 from understudy.api.durations import DURATION_MESSAGE as DURATION_MESSAGE
 from understudy.api.durations import DURATION_PATTERN as DURATION_PATTERN
 from understudy.api.durations import LONGEST_TEXT as LONGEST_TEXT
 from understudy.api.durations import seconds as seconds
 from understudy.api.names import GROUP as GROUP
+from understudy.api.nesting import DEEPEST, is_too_deep
 from understudy.api.ros_names import ROS_NAME_MESSAGE, ROS_NAME_PATTERN
 
 VERSION = "v1alpha1"
@@ -96,6 +98,23 @@ Percentage = Annotated[
 def fraction(percentage: str) -> float:
     """Return a percentage such as ``0.5%`` as a number from 0 to 1."""
     return float(percentage.removesuffix("%")) / 100
+
+
+def _bounded(value: dict[str, Any]) -> dict[str, Any]:
+    if is_too_deep(value):
+        raise PydanticCustomError(
+            "nesting",
+            "has mappings and lists nested more than {deepest} levels deep; nest them less deeply",
+            {"deepest": DEEPEST},
+        )
+    return value
+
+
+BOUNDED = AfterValidator(_bounded)
+"""The bound on the depth of a field that keeps unknown content."""
+
+UnknownContent = Annotated[dict[str, Any], BOUNDED]
+"""A field that keeps unknown content."""
 
 
 class Model(BaseModel):

@@ -23,6 +23,7 @@ from typing import Any, Protocol, Self
 import aiohttp
 
 from understudy.kube.api_contact import ApiContact
+from understudy.kube.decoding import decode, decode_each
 
 Object = dict[str, Any]
 
@@ -189,31 +190,19 @@ class Part:
         """Return the part for an answer of the API server."""
         begin, end = text.find(_ITEMS) + len(_ITEMS), text.rfind(b"]")
         if begin < len(_ITEMS):  # the server does not write lists as expected
-            head = json.loads(text)
+            head = decode(text)
             return cls(head, json.dumps(head.pop("items", None) or [])[1:-1].encode())
-        return cls(json.loads(text[:begin] + text[end:]), text[begin:end])
+        return cls(decode(text[:begin] + text[end:]), text[begin:end])
 
     def items(self) -> Iterator[Object]:
         """Yield the objects. A list leaves out their kind."""
         kind = {"apiVersion": self.head["apiVersion"], "kind": self.head["kind"].removesuffix("List")}
-        text, at = self.body.decode(), 0
-        while (at := _between(text, at)) < len(text):
-            item, at = _DECODER.raw_decode(text, at)
+        for item in decode_each(self.body.decode()):
             yield {**kind, **item}
 
 
 _ITEMS = b'"items":['
 """The text before the objects. The list's metadata contains no list, neither before the objects nor after them."""
-
-_DECODER = json.JSONDecoder()
-_BETWEEN = re.compile(r"[\s,]*")
-
-
-def _between(text: str, at: int) -> int:
-    """Return the position at which the text between two objects ends."""
-    found = _BETWEEN.match(text, at)
-    assert found is not None, "nothing is between them, at least"
-    return found.end()
 
 
 class RenewedToken(Protocol):
@@ -322,7 +311,7 @@ class Client:
         if body is not None:
             headers["Content-Type"] = content_type
             data = json.dumps(body).encode()
-        result: Object = json.loads(await self._ask(method, path, params, headers, data))
+        result: Object = decode(await self._ask(method, path, params, headers, data))
         return result
 
     async def read(
@@ -401,7 +390,7 @@ class Client:
         The table has only what kubectl shows of each object. A server without tables answers with a list.
         """
         params = _selectors(labels, fields) | {"resourceVersion": "0", "includeObject": "None"}
-        answer: Object = json.loads(await self.read(resource.path(namespace), params=params, accept=TABLE))
+        answer: Object = decode(await self.read(resource.path(namespace), params=params, accept=TABLE))
         return answer
 
     async def parts(
@@ -515,7 +504,7 @@ class Client:
                     self._listener.event_received(resource.plural)
                 *lines, buffer = (buffer + chunk).split(b"\n")
                 for line in lines:
-                    event = json.loads(line)
+                    event = decode(line)
                     if event["type"] == "ERROR":
                         code = event["object"].get("code", 500)
                         raise Expired if code == 410 else _error(code, json.dumps(event["object"]))
@@ -539,7 +528,7 @@ def _selectors(labels: str | None, fields: str | None) -> dict[str, str]:
 
 def _error(status: int, text: str, just_back: bool = False) -> ApiError:
     try:
-        answer = json.loads(text)
+        answer = decode(text)
         reason, message = answer.get("reason") or "Error", answer.get("message") or text
     except (ValueError, AttributeError):
         reason, message = "Error", text[:500]

@@ -14,6 +14,7 @@ from understudy.api.base import (
     Model,
     ObjectName,
     RosName,
+    UnknownContent,
     length,
     matching,
     seconds,
@@ -250,7 +251,7 @@ class SafeCommand(Model):
 
     topic: RosName
     """Topic to publish on. It must be one of the workload's outputs."""
-    message: dict[str, Any] = Field(default_factory=dict)
+    message: UnknownContent = Field(default_factory=dict)
     """Fields of the message. Fields that are absent keep their default value, so an empty Twist means: stand still. In
     a field of type builtin_interfaces/msg/Time, the string "now" stands for the current time."""
     every: Duration = "100ms"
@@ -378,7 +379,7 @@ class TreeInForce(Model):
     """Name of the ConfigMap from which the tree was read."""
     key: str
     """Key in the ConfigMap."""
-    yaml: dict[str, Any] | None = None
+    yaml: UnknownContent | None = None
     """The tree, if it is in the short form."""
     xml: str | None = None
     """The tree, if it is BehaviorTree.CPP 4 XML."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
-from understudy.api.base import Duration, Model, ObjectName, Percentage, matching, with_rules
+from understudy.api.base import Duration, Model, ObjectName, Percentage, UnknownContent, matching, with_rules
 from understudy.api.conditions import Conditions, Time
 from understudy.api.kinds.pod_template import pod_template
 from understudy.api.kinds.procedure_spec import Check, Procedure
@@ -237,7 +237,7 @@ class FallbackPoolSpec(Model):
     workload_selector: LabelSelector
     """Labels of the RobotWorkloads that this pool serves, in the same namespace. An empty selector selects all of
     them."""
-    template: dict[str, Any] | None = Field(
+    template: UnknownContent | None = Field(
         default=None,
         json_schema_extra=pod_template(
             (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -12,6 +12,7 @@ from understudy.api.base import (
     Model,
     ObjectName,
     RosName,
+    UnknownContent,
     length,
     matching,
     seconds,
@@ -185,7 +186,7 @@ class MonitorSettings(Model):
 
     image: str | None = Field(default=None, min_length=1, max_length=512)
     """Image of the monitor. Set it if the default image does not contain your message types."""
-    resources: dict[str, Any] | None = None
+    resources: UnknownContent | None = None
     """Resource requests and limits of the monitor container, as in a pod."""
     diagnostics: bool = False
     """Publish the state of the workload on /diagnostics, every second and immediately when its level changes, for ROS
@@ -269,7 +270,7 @@ class Dependency(Model):
 class RobotWorkloadSpec(Model):
     """One application of one robot."""
 
-    template: dict[str, Any] | None = Field(default=None, json_schema_extra=pod_template())
+    template: UnknownContent | None = Field(default=None, json_schema_extra=pod_template())
     """Pod template, as in a Deployment: metadata.labels, metadata.annotations and spec. Understudy creates the pod from
     it, with a ReplicaSet of one replica."""
     workload_ref: WorkloadReference | None = None

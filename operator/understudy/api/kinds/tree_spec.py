@@ -6,13 +6,13 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from understudy.api.base import LONGEST_TEXT, Model
+from understudy.api.base import BOUNDED, LONGEST_TEXT, Model
 
 Form = Literal["yaml", "xml", "osc"]
 """The language of a tree, as the name of the field that holds it."""
 
 
-ShortForm = Annotated[dict[str, Any], Field(min_length=1)]
+ShortForm = Annotated[dict[str, Any], Field(min_length=1), BOUNDED]
 """A tree in the short form."""
 
 Text = Annotated[str, Field(min_length=1, max_length=LONGEST_TEXT)]

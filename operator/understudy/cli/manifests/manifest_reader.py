@@ -16,6 +16,7 @@ from typing import Any
 import yaml
 from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
+from understudy.api.nesting import DEEPEST_OBJECT
 from understudy.cli.common.errors import CommandError
 from understudy.cli.manifests.check_findings import Finding, Place
 from understudy.cli.manifests.schema_validation import join
@@ -24,9 +25,6 @@ from understudy.trees.source.yaml_scalars import TAG, plain
 
 SUFFIXES = (".yaml", ".yml")
 STANDARD_INPUT = "-"
-
-DEEPEST = 200
-"""Most levels of nesting: pods and trees have a few dozen."""
 
 MOST = 200_000
 """Most values of a file with all aliases expanded: a short file may expand to billions."""
@@ -198,7 +196,7 @@ class _Reader:
         except TooMuch as error:
             self._note(_place(error.node), error.message)
         except RecursionError:
-            self._note(Place(1, 1), f"mappings and lists are nested too deeply; the limit is {DEEPEST} levels")
+            self._note(Place(1, 1), f"mappings and lists are nested too deeply; the limit is {DEEPEST_OBJECT} levels")
         else:
             if nothing:
                 self._note(Place(1, 1), "the file is empty; add apiVersion, kind, metadata and spec", warning=True)
@@ -234,7 +232,7 @@ class _Reader:
     def _objects(self, node: Node, depth: int) -> None:
         """Read the object of a node, or the objects of a list."""
         items = _items(node)
-        if items is None or depth > DEEPEST:
+        if items is None or depth > DEEPEST_OBJECT:
             self._object(node)
             return
         for item in items:
@@ -290,8 +288,8 @@ class _Values:
     def value(self, node: Node, path: str, depth: int) -> Any:
         """Return the value of a node."""
         self._reader.counted(node)
-        if depth > DEEPEST:
-            raise TooMuch(node, f"mappings and lists are nested too deeply; the limit is {DEEPEST} levels")
+        if depth > DEEPEST_OBJECT:
+            raise TooMuch(node, f"mappings and lists are nested too deeply; the limit is {DEEPEST_OBJECT} levels")
         if id(node) in self._within:
             self._problem(path, "contains itself through an alias (*); write the value out", _place(node))
             return None

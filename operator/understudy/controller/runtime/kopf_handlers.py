@@ -11,14 +11,16 @@ import asyncio
 import inspect
 import itertools
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from typing import Any
 
 import aiohttp
 import kopf
+from aiohttp.connector import Connection
 from kopf._cogs.clients import scanning
 
 from understudy.kube.client import PAGE, POLICIES, POOLS, WORKLOADS, Access, Object, Resource
+from understudy.kube.decoding import bounded, decode
 
 WATCHED = (WORKLOADS, POLICIES, POOLS)
 """Understudy's own kinds. watches.py has the other watched resources."""
@@ -65,9 +67,38 @@ def _session(access: Access, token: str | None) -> kopf.AiohttpSession:
     """Return a session with the operator's credentials."""
     headers = {"Authorization": f"Bearer {token}", "User-Agent": "understudy-operator"} if token else {}
     connector = aiohttp.TCPConnector(ssl=access.context, limit=0)
-    return kopf.AiohttpSession(
-        server=access.server, aiohttp_session=aiohttp.ClientSession(connector=connector, headers=headers)
-    )
+    session = aiohttp.ClientSession(connector=connector, headers=headers, response_class=_Answer)
+    return kopf.AiohttpSession(server=access.server, aiohttp_session=session)
+
+
+class _Answer(aiohttp.ClientResponse):
+    """An answer of the API server without values that are nested too deeply: they would end kopf's decoding, and so kopf."""
+
+    async def start(self, connection: Connection) -> aiohttp.ClientResponse:
+        await super().start(connection)
+        self.content = _Lines(self.content)  # type: ignore[assignment]
+        return self
+
+    async def json(self, *, loads: Callable[[str], Any] = decode, **options: Any) -> Any:
+        return await super().json(loads=loads, **options)
+
+
+class _Lines:
+    """The content of an answer. kopf reads the events of a watch from it, which are lines."""
+
+    def __init__(self, content: aiohttp.StreamReader) -> None:
+        self._content = content
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._content, name)
+
+    async def iter_chunked(self, size: int) -> AsyncIterator[bytes]:
+        rest = b""
+        async for chunk in self._content.iter_chunked(size):
+            *lines, rest = (rest + chunk).split(b"\n")
+            for line in lines:
+                yield bounded(line.decode()).encode() + b"\n"
+        yield bounded(rest.decode()).encode()
 
 
 def settings() -> kopf.OperatorSettings:

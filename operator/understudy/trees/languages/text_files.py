@@ -10,13 +10,11 @@ import yaml
 from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
 from understudy.api.durations import LONGEST_TEXT
+from understudy.api.nesting import DEEPEST
 from understudy.trees.languages.notations import load_health
 from understudy.trees.source.positions import WHOLE_FILE, TextOffset, nearest
 from understudy.trees.source.problems import Problem, TreeError
 from understudy.trees.source.yaml_scalars import SCALARS, TAG, plain
-
-DEEPEST = 100
-"""Greatest depth of a tree's text; a node of the short form has two levels."""
 
 
 def load_text(form: str, text: str, *, path: str, grace: float, begins: TextOffset = WHOLE_FILE) -> Any:

@@ -1,0 +1,31 @@
+"""The limit on the depth of fields with unknown content."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from tests.support.nested_values import nested
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.api.nesting import DEEPEST
+
+
+def spec(levels: int) -> dict[str, Any]:
+    return {"monitoring": {"yaml": {"topic": json.loads(nested(levels))}}, "strategies": [{"type": "Restart"}]}
+
+
+def test_a_field_at_the_limit_is_read_and_written() -> None:
+    found = FailurePolicySpec.model_validate(spec(DEEPEST))
+    written = json.loads(json.dumps(found.to_wire()))
+    assert written["monitoring"]["yaml"] == spec(DEEPEST)["monitoring"]["yaml"]
+
+
+def test_a_field_above_the_limit_is_refused() -> None:
+    with pytest.raises(ValidationError) as caught:
+        FailurePolicySpec.model_validate(spec(DEEPEST + 2))
+    (error,) = caught.value.errors()
+    assert error["loc"] == ("monitoring", "yaml")
+    assert str(DEEPEST) in error["msg"]

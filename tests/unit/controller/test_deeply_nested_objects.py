@@ -1,0 +1,116 @@
+"""An object with deeply nested values is refused with its field and the limit; the operator follows all others."""
+
+from __future__ import annotations
+
+import asyncio
+import ssl
+from collections.abc import AsyncIterator
+from typing import Any
+
+import pytest
+
+from tests.support.nested_values import DEPTHS, PLACE, Answers, api_server, list_of, text
+from tests.unit.controller import pools, world
+from understudy.api.nesting import DEEPEST
+from understudy.controller.reconcile.object_store import Store
+from understudy.controller.runtime import kopf_handlers
+from understudy.controller.runtime.resync import ListCycle
+from understudy.controller.status import policy_status
+from understudy.kube.client import POLICIES, POOLS, WORKLOADS, Access, Client, Object, Part, Resource
+
+TREE = {"sequence": PLACE}
+
+
+def with_safety(policy: Object) -> Object:
+    policy["spec"]["safety"] = {"commands": [{"topic": "/cmd_vel", "message": TREE}]}
+    return policy
+
+
+DEEP: dict[str, tuple[Resource, Object]] = {
+    "spec.monitoring.yaml": (POLICIES, world.policy("Restart", name="deep", tree=TREE)),
+    "spec.safety.commands.0.message": (POLICIES, with_safety(world.policy("Restart", name="deep"))),
+    "spec.initialization.yaml": (POOLS, world.hot("deep", initialization={"yaml": TREE})),
+    "spec.template": (
+        POOLS,
+        world.spare("deep", template={"spec": {"containers": [{"name": "a", "env": PLACE}]}}),
+    ),
+    "spec.bringUp.yaml": (WORKLOADS, world.workload("deep", bringUp={"yaml": TREE})),
+    "spec.monitor.resources": (WORKLOADS, world.workload("deep", monitor={"resources": TREE})),
+}
+
+
+def received(item: Object, levels: int) -> Object:
+    """The object as the operator's client reads it."""
+    kind = item["kind"]
+    (found,) = Part.of(list_of(kind, [text(item, levels)]).encode()).items()
+    return found
+
+
+def accepted(resource: Resource, item: Object) -> Object:
+    """The condition Accepted of an object."""
+    if resource == WORKLOADS:
+        status = world.World(item, world.policy("Restart")).status()
+    elif resource == POLICIES:
+        status = policy_status.status(item, pools={}, config_maps={}, users=[])
+    else:
+        status = pools.status(pools.observe(item))
+    found: Object = next(one for one in status["conditions"] if one["type"] == "Accepted")
+    return found
+
+
+@pytest.mark.parametrize("field", DEEP)
+@pytest.mark.parametrize("levels", DEPTHS)
+def test_the_condition_names_the_field_and_the_limit(field: str, levels: int) -> None:
+    resource, item = DEEP[field]
+    store = Store()
+    store.put(resource, received(item, levels))
+    stored = store.get(resource, world.NAMESPACE, "deep")
+    assert stored is not None
+    found = accepted(resource, stored)
+    assert (found["status"], found["reason"]) == ("False", "SpecInvalid")
+    assert found["message"].startswith(f"{field}: ")
+    assert f"{DEEPEST} levels" in found["message"]
+
+
+class Server(Client):
+    """Lists policies, and nothing else."""
+
+    def __init__(self, *policies: str) -> None:
+        self.policies = policies
+
+    async def parts(self, resource: Resource, *_: Any, **__: Any) -> AsyncIterator[Part]:
+        yield Part.of(list_of("FailurePolicy", self.policies if resource == POLICIES else ()).encode())
+
+
+@pytest.mark.parametrize("levels", DEPTHS)
+async def test_a_list_stores_every_object(levels: int) -> None:
+    store = Store()
+    deep = text(DEEP["spec.monitoring.yaml"][1], levels)
+    changes = await ListCycle(Server(deep, text(world.policy("Restart"), 0)), store, ()).resync()
+    assert sorted(change.new["metadata"]["name"] for change in changes if change.new) == ["deep", "policy"]
+
+
+@pytest.mark.parametrize("levels", DEPTHS)
+async def test_the_watches_by_kopf_report_every_object(levels: int) -> None:
+    kopf_handlers.quiet()
+    answers, seen, over = Answers(), set[str](), asyncio.Event()
+    deep, other = text(DEEP["spec.monitoring.yaml"][1], levels), text(world.policy("Restart"), 0)
+    later = text(world.policy("Restart", name="later", tree=TREE), levels)
+    answers.lists[POLICIES.plural] = list_of("FailurePolicy", [deep, other])
+    last = text(world.policy("Restart", name="last"), 0)
+    answers.events[POLICIES.plural] = [f'{{"type":"ADDED","object":{item}}}' for item in (later, last)]
+
+    def see(resource: Resource, item: Object, gone: bool) -> None:
+        seen.add(item["metadata"]["name"])
+        if seen >= {"deep", "policy", "later", "last"}:
+            over.set()
+
+    async with api_server(answers) as url:
+        access = Access(server=url, context=ssl.create_default_context())
+        watching = asyncio.create_task(kopf_handlers.watch(see, access, []))
+        waiting = asyncio.create_task(over.wait())
+        await asyncio.wait({watching, waiting}, timeout=5, return_when=asyncio.FIRST_COMPLETED)
+        for task in (watching, waiting):
+            task.cancel()
+        await asyncio.gather(watching, waiting, return_exceptions=True)
+    assert seen == {"deep", "policy", "later", "last"}

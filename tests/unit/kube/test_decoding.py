@@ -1,0 +1,43 @@
+"""Decoding leaves values as they are, down to the limit."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from tests.support.nested_values import nested
+from understudy.api.nesting import DEEPEST_OBJECT
+from understudy.kube.decoding import decode, decode_each
+
+
+@pytest.mark.parametrize(
+    "text", ['{"a":"\\"[{","b":[[],{}," ]}"]}', "[]", "null", '"{"', "[1,[2.5,true]]", '["\\\\",[]]']
+)
+def test_brackets_in_strings_do_not_count(text: str) -> None:
+    assert decode(text) == json.loads(text)
+    many = f"[{','.join([text] * DEEPEST_OBJECT)}]"
+    assert decode(many) == json.loads(many), "so many brackets that they are counted one by one"
+
+
+def test_a_value_at_the_limit_is_kept_and_one_below_it_is_cut() -> None:
+    assert decode(nested(DEEPEST_OBJECT)) == json.loads(nested(DEEPEST_OBJECT))
+    wide = f'{{"a":{nested(DEEPEST_OBJECT + 2)},"b":{nested(4)}}}'
+    found = decode(wide)
+    assert found["b"] == json.loads(nested(4)), "what follows is kept"
+    for _ in range(DEEPEST_OBJECT // 2):
+        found = found["a"][0] if isinstance(found["a"], list) else found["a"]
+    assert found == {"a": [None]} or found == {"a": None}
+
+
+def test_each_value_is_decoded_on_its_own() -> None:
+    texts = ["1", nested(3_000), '{"b":[]}', nested(3_000), "[2]"]
+    found = list(decode_each(" ,\n".join(texts)))
+    assert (found[0], found[2], found[4]) == (1, {"b": []}, [2])
+    assert found[1] == found[3] == decode(nested(3_000))
+
+
+@pytest.mark.parametrize("text", ["[" * 5_000, "{" + "]" * 300, "", "[" * 300 + '"'])
+def test_a_malformed_text_is_a_value_error(text: str) -> None:
+    with pytest.raises(ValueError, match="line 1"):
+        decode(text)
