@@ -12,7 +12,7 @@ import pytest
 from tests.support.nested_values import DEPTHS, PLACE, Answers, api_server, list_of, text
 from tests.unit.controller import pools, world
 from understudy.api.nesting import DEEPEST
-from understudy.controller.reconcile.object_store import Store
+from understudy.controller.reconcile.object_store import ObservedChange, Store
 from understudy.controller.runtime import kopf_handlers
 from understudy.controller.runtime.resync import ListCycle
 from understudy.controller.status import policy_status
@@ -88,6 +88,19 @@ async def test_a_list_stores_every_object(levels: int) -> None:
     deep = text(DEEP["spec.monitoring.yaml"][1], levels)
     changes = await ListCycle(Server(deep, text(world.policy("Restart"), 0)), store, ()).resync()
     assert sorted(change.new["metadata"]["name"] for change in changes if change.new) == ["deep", "policy"]
+
+
+async def test_an_error_about_one_object_does_not_end_a_list(caplog: pytest.LogCaptureFixture) -> None:
+    def noticed(change: ObservedChange) -> None:
+        if change.new is not None and change.new["metadata"]["name"] == "surprising":
+            raise KeyError("spec")
+
+    store = Store()
+    store.noticed = noticed
+    listed = [text(world.policy("Restart", name=name), 0) for name in ("surprising", "policy")]
+    changes = await ListCycle(Server(*listed), store, ()).resync()
+    assert [change.new["metadata"]["name"] for change in changes if change.new] == ["policy"]
+    assert "surprising" in caplog.text
 
 
 @pytest.mark.parametrize("levels", DEPTHS)

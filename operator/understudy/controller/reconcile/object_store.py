@@ -7,6 +7,7 @@ missed.
 
 from __future__ import annotations
 
+import logging
 import sys
 import time
 from collections import defaultdict
@@ -18,6 +19,8 @@ from understudy.controller.reconcile.interning import Interner
 from understudy.kube.apply import controller_of, released, released_spec
 from understudy.kube.client import PODS, Object, Resource
 from understudy.kube.gates import registry
+
+_logger = logging.getLogger(__name__)
 
 REMEMBERED_SECONDS = 300.0
 """How long a deleted object is remembered, in seconds, so that a list from before its deletion does not restore it."""
@@ -140,13 +143,20 @@ class Store:
         self._sharing.forget()
         found = list(items)
         present = {(i["metadata"].get("namespace", ""), i["metadata"]["name"]) for i in found}
-        changes = [self.put(resource, item) for item in found]
+        changes = [self._put_listed(resource, item) for item in found]
         for place, old in list(self._items[resource.plural].items()):
             if place in present or (namespace is not None and place[0] != namespace):
                 continue
             if version(old) <= listed and covered(old):  # newer ones were created after the list
                 changes.append(self.remove(resource, old))
         return [change for change in changes if change is not None]
+
+    def _put_listed(self, resource: Resource, item: Object) -> ObservedChange | None:
+        try:
+            return self.put(resource, item)
+        except Exception:  # an unexpected object must not end the list, and so the protection of all others
+            _logger.exception("%s %s", resource.plural, item["metadata"].get("name"))
+            return None
 
     def _bury(self, item: Object) -> None:
         now = self._clock()

@@ -44,3 +44,9 @@ def test_deeply_nested_values_leave_the_last_spec_and_policy_in_force(view: Clus
     change(view.policies, world.policy("Restart", tree=deep), levels)
     assert view.spec is spec
     assert view.policy is policy
+
+
+def test_settings_that_cannot_be_read_leave_the_last_ones_in_force(view: ClusterView) -> None:
+    settings = view.settings
+    change(view.settings_maps, {"metadata": {"name": names.settings("w")}, "data": {"settings.json": "[" * 5_000}})
+    assert view.settings is settings

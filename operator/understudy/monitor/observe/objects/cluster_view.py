@@ -200,12 +200,19 @@ class ClusterView:
 
     @property
     def settings(self) -> WorkloadSettings | None:
-        """The settings that the operator resolved for this monitor; the last ones if their ConfigMap was deleted."""
+        """The settings that the operator resolved for this monitor; the last valid ones if their ConfigMap was deleted or changed."""
         if self._settings[0] != self.settings_maps.revision:
             item = self.settings_maps.items.get(names.settings(self.workload))
             found = self._settings[1]
             if item is not None:
-                found = WorkloadSettings.model_validate_json(item["data"]["settings.json"])
+                try:
+                    found = WorkloadSettings.model_validate_json(item["data"]["settings.json"])
+                except ValidationError as error:
+                    _logger.error(
+                        "ConfigMap %s cannot be read, keeping the last settings: %s",
+                        names.settings(self.workload),
+                        error,
+                    )
             self._settings = (self.settings_maps.revision, found)
         return self._settings[1]
 
