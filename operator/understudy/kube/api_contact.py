@@ -14,7 +14,8 @@ SLOW = 0.25
 """Seconds without an answer after which a request under way counts as unanswered. An API server at rest answers in some milliseconds."""
 
 JUST_BACK = 15.0
-"""Seconds after an outage for which the API server may not have loaded all that it needs to know who may do what."""
+"""Seconds after an outage, or after the first answer to this process, for which the API server may not have loaded all that it needs to
+know who may do what."""
 
 
 class ApiContact:
@@ -28,11 +29,12 @@ class ApiContact:
         self._answered_at = -math.inf
         """When a request was last answered."""
         self._back_at = -math.inf
-        """When a request was first answered after the last outage."""
+        """When a request was first answered at all, or after the last outage."""
 
     @contextmanager
     def asking(self) -> Iterator[None]:
-        """Record a request while the context is open. It was answered if the context ends without an error.
+        """Record a request while the context is open. It was answered if the context ends without an error. An API server that does
+        not know who asks has not answered.
 
         A request that its sender cancels says nothing about the API server, unless it was under way for long. Neither does
         one without an answer if another request was answered meanwhile: it was lost on the way.
@@ -47,9 +49,11 @@ class ApiContact:
                 self._failing_since = asked if self._failing_since is None else self._failing_since
             raise
         else:
-            self._answered_at = loop.time()
-            if self._failing_since is not None:
-                self._failing_since, self._back_at = None, self._answered_at
+            # A process that starts does not know whether the API server has only just started too.
+            is_back = self._failing_since is not None or self._answered_at == -math.inf
+            self._failing_since, self._answered_at = None, loop.time()
+            if is_back:
+                self._back_at = self._answered_at
         finally:
             del self._asked[request]
 
@@ -66,5 +70,5 @@ class ApiContact:
 
     @property
     def just_back(self) -> bool:
-        """Whether the API server has answered for less than JUST_BACK seconds after an outage."""
+        """Whether the API server has answered for less than JUST_BACK seconds, as far as this process knows."""
         return asyncio.get_running_loop().time() - self._back_at < JUST_BACK

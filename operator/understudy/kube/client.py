@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import os
 import random
 import re
@@ -40,6 +41,11 @@ nothing is sent, and within 10,000 milliseconds otherwise. Without them, a watch
 
 _TOKEN_LIFETIME = 60.0  # seconds between reads; the kubelet renews the file long before the token expires
 _WEBHOOK = re.compile(r'failed calling webhook "([^"]+)"')
+_BY_CONTENT = re.compile(r"(exceeded|failed) quota: |violates PodSecurity |is being terminated")
+"""What is in refusals that depend on no account and no role."""
+_UNKNOWN_CLIENT = (
+    "the token is missing or not valid (that of a pod ends with the pod), or the API server has only just started"
+)
 
 
 class ApiError(Exception):
@@ -74,10 +80,20 @@ class ApiError(Exception):
         return self.status == 429 or (self.status >= 500 and not self.malformed)
 
     @property
+    def unauthenticated(self) -> bool:
+        """Whether the server does not know who asks. This says nothing about the request, which was not carried out."""
+        return self.status == 401
+
+    @property
     def waking(self) -> bool:
-        """Whether the server may not have loaded the accounts and roles yet, as for a moment after its start."""
+        """Whether the server may not have loaded the accounts and roles yet, as for some time after its start.
+
+        How long a server knows no client depends on its machine. A token that has become invalid looks the same.
+        """
+        if self.status != 403:
+            return self.unauthenticated
         unknown_role = "RBAC: " in self.message and self.message.endswith("not found")
-        return self.status in (401, 403) and (self.just_back or unknown_role)
+        return unknown_role or (self.just_back and not _BY_CONTENT.search(self.message))
 
     @property
     def final(self) -> bool:
@@ -266,7 +282,7 @@ class Client:
         self._timeout = aiohttp.ClientTimeout(total=timeout)
         self._session: aiohttp.ClientSession | None = None
         self._token = access.token
-        self._token_read = -_TOKEN_LIFETIME
+        self._token_read = -math.inf
         self.contact = ApiContact()
         """Whether the API server answers."""
 
@@ -293,6 +309,12 @@ class Client:
         elif self._access.token_file is not None and now - self._token_read >= _TOKEN_LIFETIME:
             self._token, self._token_read = await self._access.bearer(), now
         return {"Authorization": f"Bearer {self._token}"} if self._token else {}
+
+    def _renew_token(self) -> None:
+        """Have the next request read the token again: the API server does not accept it."""
+        self._token_read = -math.inf
+        if self._access.plugin is not None:
+            self._access.plugin.reject()
 
     async def request(
         self,
@@ -345,11 +367,12 @@ class Client:
                 ) as response:
                     text = await response.read()
                     status = response.status
+                if status == 401:  # no usable answer: within the context, so that the time does not count as answered
+                    self._renew_token()
+                    raise _error(status, text.decode(errors="replace"))
         finally:
             if self._listener is not None:
                 self._listener.request_ended(method, path, status)
-        if status == 401 and self._access.plugin is not None:
-            self._access.plugin.reject()
         if status >= 400:
             raise _error(status, text.decode(errors="replace"), self.contact.just_back)
         return text
@@ -494,8 +517,8 @@ class Client:
         ) as response:
             if self._listener is not None:
                 self._listener.request_ended("WATCH", resource.path(namespace), response.status)
-            if response.status == 401 and self._access.plugin is not None:
-                self._access.plugin.reject()
+            if response.status == 401:
+                self._renew_token()
             if response.status >= 400:
                 raise Expired if response.status == 410 else _error(response.status, await response.text())
             buffer = b""
@@ -532,4 +555,6 @@ def _error(status: int, text: str, just_back: bool = False) -> ApiError:
         reason, message = answer.get("reason") or "Error", answer.get("message") or text
     except (ValueError, AttributeError):
         reason, message = "Error", text[:500]
+    if status == 401:
+        message = f"{message} ({_UNKNOWN_CLIENT})"
     return ApiError(status, reason, message, just_back=just_back)

@@ -3,6 +3,8 @@ from __future__ import annotations
 import copy
 from typing import Any
 
+import pytest
+
 from tests.support.golden import assert_golden
 from tests.unit.kube.memory import ApplyingClient, MemoryClient
 from understudy.api import names
@@ -77,6 +79,14 @@ async def test_a_template_that_cannot_be_applied_is_reported_and_other_objects_a
     assert problem.reason == "TemplateInvalid"
     assert ".spec.nodeNane: field not declared" in problem.message
     assert (CONFIG_MAPS.plural, "fleet", "w-robot-env") in client.items
+
+
+@pytest.mark.parametrize("error", [ApiError(401, "Unauthorized", ""), ApiError(403, "Forbidden", "", just_back=True)])
+async def test_a_server_that_has_just_started_does_not_refuse_a_workloads_objects(error: ApiError) -> None:
+    client = ApplyingClient()
+    client.failing = lambda method, name: error
+    with pytest.raises(ApiError):
+        await executor(client, Store()).run(KEY, [Apply(CONFIG_MAPS, config_map("workload"))])
 
 
 async def test_the_executor_remembers_nothing_of_a_deleted_workload() -> None:

@@ -37,3 +37,13 @@ async def test_a_refusal_because_of_the_template_is_reported(words: str) -> None
     assert found is not None
     assert found.reason == "TemplateInvalid"
     assert words in found.message
+
+
+async def test_a_server_that_has_not_loaded_its_roles_yet_does_not_judge_a_template() -> None:
+    client = MemoryClient()
+    client.failing = lambda method, name: ApiError(403, "Forbidden", "cannot create resource pods", just_back=True)
+    judge = Judge(client)
+    with pytest.raises(ApiError):
+        await judge.judge(POD, "spec.template")
+    client.failing = lambda method, name: None
+    assert await judge.judge(POD, "spec.template") is None

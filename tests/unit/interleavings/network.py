@@ -237,6 +237,8 @@ class SimulatedClient(Client):
             try:
                 return await answer
             except ApiError as error:
+                if error.unauthenticated:
+                    raise
                 refusal = error
         raise refusal
 

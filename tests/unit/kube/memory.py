@@ -39,7 +39,7 @@ class MemoryClient(Client):
         self.requests.append((method, name, body))
         error = self.failing(method, name)
         with self.contact.asking():
-            if error is not None and not isinstance(error, ApiError):
+            if error is not None and (not isinstance(error, ApiError) or error.unauthenticated):
                 raise error
         if error is not None:
             raise error

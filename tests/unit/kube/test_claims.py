@@ -192,7 +192,7 @@ async def test_a_server_that_does_not_know_roles_or_accounts_yet_is_asked_again(
             "Forbidden",
             'cannot delete resource "pods": RBAC: role.rbac.authorization.k8s.io "w-monitor" not found',
         ),
-        ApiError(401, "Unauthorized", "Unauthorized", just_back=True),
+        ApiError(401, "Unauthorized", "Unauthorized"),
         "deleted",
     ]
 

@@ -65,7 +65,7 @@ class Executor:
         """Carry out the writes, and return the permanent refusals of the API server.
 
         A refusal does not stop the other writes. Raises Stale, NamespaceTerminating, LeadershipLost, and the errors of a
-        server that cannot answer now (ApiError 429 and 5xx, aiohttp.ClientError, TimeoutError).
+        server that cannot answer now (ApiError that is not final, aiohttp.ClientError, TimeoutError).
         """
         problems: list[Problem] = []
         stale: ApiError | None = None
@@ -86,7 +86,7 @@ class Executor:
                 if error.status == 409 or (error.status == 404 and _gone(write)):
                     stale = error
                     continue
-                if error.passing:
+                if not error.final:
                     raise
                 problems.append(refused(write, error))
                 if alike is not None:

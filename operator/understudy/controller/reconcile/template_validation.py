@@ -48,7 +48,7 @@ class Judge:
                 raise NamespaceTerminating from error
             if error.status == 409 or (error.status == 403 and _NO_ROOM in error.message):
                 found = None  # Name taken or quota exhausted: both are checked last, so the template passed.
-            elif error.status in (400, 403, 422):
+            elif error.final and error.status in (400, 403, 422):
                 advice = _ADVICE if _POD_SECURITY in error.message else ""
                 words = f"{path}: the API server rejects a pod with this template: {error.message}{advice}"
                 found = Problem("TemplateInvalid", words)

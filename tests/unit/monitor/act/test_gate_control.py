@@ -277,7 +277,12 @@ async def test_a_commit_is_tried_again_soon_once_the_api_server_answers_again(
     monkeypatch.setattr(gate_control, "RETRY_MOST", 60.0)
     gate, loop = await open_gate(client, found, tmp_path, FAILED), asyncio.get_running_loop()
     waking = ApiError(403, "Forbidden", "", just_back=True)
-    errors: list[Exception] = [*[OSError("away")] * 5, ApiError(503, "Starting", ""), waking]
+    errors: list[Exception] = [
+        *[OSError("away")] * 4,
+        ApiError(401, "Unauthorized", ""),
+        ApiError(503, "Starting", ""),
+        waking,
+    ]
     asked: list[float] = []
 
     def answer(method: str, name: str) -> Exception | None:
