@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.network_namespaces import network
+from tests.support.network_namespaces import Network, network
 from tests.unit.ros.processes import PACKAGE, Processes
 
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("dds")]
@@ -296,35 +296,65 @@ import rclpy
 from std_msgs.msg import String
 rclpy.init()
 node = rclpy.create_node("listener")
-node.create_subscription(String, "/initialpose", lambda _: None, 10)
+node.create_subscription(String, "/initialpose", lambda message: print(message.data, flush=True), 10)
 rclpy.spin(node)
 """
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="network namespaces need root")
-def test_an_unreachable_subscriber_delays_nothing() -> None:
-    """Instances of one workload know of each other's subscribers, and no packet passes between them."""
-    environment = {
-        "ROS_DOMAIN_ID": "62",
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
-        "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
-        "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
-    }
+class Instances:
+    """The process that publishes to the instance of its host, that instance, and one of another host that no packet reaches."""
+
+    def __init__(self, running: Processes, lan: Network) -> None:
+        environment = {
+            "ROS_DOMAIN_ID": "62",
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
+            "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
+            "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+        }
+        other, own = lan.host("10.62.0.2"), lan.host("10.62.0.3")
+        listen, publish = ["-c", LISTEN], [str(Path(__file__).parent / "publishing.py"), "2"]
+        unreachable, self.instance, self._publisher = (
+            running.start([*host, sys.executable, *command], **environment)
+            for host, command in ((other, listen), (own, listen), (own, publish))
+        )
+        assert running.line(self._publisher, WITHIN) == "all"
+        unreachable.send_signal(signal.SIGSTOP)
+
+    def publish(self, text: str, within: float) -> str:
+        """Publish a text, and return how that went."""
+        assert self._publisher.stdin is not None
+        self._publisher.stdin.write(f"{text} {within}\n")
+        self._publisher.stdin.flush()
+        return Processes.line(self._publisher, WITHIN + within)
+
+
+@pytest.fixture
+def instances() -> Iterator[Instances]:
     running = Processes()
     with network() as lan:
         try:
-            other, own = (
-                running.start([*lan.host(ip), sys.executable, *command], **environment)
-                for ip, command in (
-                    ("10.62.0.2", ["-c", LISTEN]),
-                    ("10.62.0.3", [str(Path(__file__).parent / "publishing.py")]),
-                )
-            )
-            assert running.line(own, 60) == "both 2"
-            other.send_signal(signal.SIGSTOP)
-            assert own.stdin is not None
-            own.stdin.write("go\n")
-            own.stdin.flush()
-            assert running.line(own, 60) == "published True"
+            yield Instances(running, lan)
         finally:
             running.end()
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="network namespaces need root")
+def test_an_unreachable_subscriber_delays_nothing(instances: Instances) -> None:
+    """Instances of one workload know of each other's subscribers, and no packet passes between them."""
+    assert instances.publish("here", WITHIN) == "published here"
+    assert Processes.line(instances.instance, WITHIN) == "here"
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="network namespaces need root")
+def test_a_message_counts_as_received_only_after_an_answer_of_its_subscriber_if_another_one_is_unreachable(
+    instances: Instances,
+) -> None:
+    """The middleware does not report whose acknowledgement is missing."""
+    instances.instance.send_signal(signal.SIGSTOP)
+
+    reason = "a message was sent on /initialpose, and node /listener has not answered since then within 3 s"
+    assert instances.publish("early", 3.0) == f"failed {reason}"
+
+    instances.instance.send_signal(signal.SIGCONT)
+    assert instances.publish("late", WITHIN) == "published late"
+    assert "late" in {Processes.line(instances.instance, WITHIN) for _ in range(2)}

@@ -124,7 +124,7 @@ class StateRestorer:
     ) -> None:
         within = max(0.0, end - time.monotonic())
         if not sample.confirm:
-            await caller.publish(sample.to, sample.type, publication.message, within)
+            await caller.publish(sample.to, sample.type, publication.message, within, answered=True)
             return
         since = time.time()
         confirmed = asyncio.create_task(self._confirmed(sample, since, within))

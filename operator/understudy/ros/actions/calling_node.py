@@ -87,6 +87,12 @@ class CallingNode:
         readers = self.node.get_subscriptions_info_by_topic(topic)
         return any(e.topic_type == type_name and not self._here(e) for e in readers)
 
+    def subscribers(self, topic: str, type_name: str) -> set[str]:
+        """Return the full names of the nodes here that subscribe to a topic."""
+        readers = self.node.get_subscriptions_info_by_topic(topic)
+        here = [e for e in readers if e.topic_type == type_name and self._here(e)]
+        return {f"{e.node_namespace.rstrip('/')}/{e.node_name}" for e in here}
+
     def published_types(self, topic: str) -> set[str]:
         """Return the types of a topic's publishers that are here."""
         return {e.topic_type for e in self.node.get_publishers_info_by_topic(topic) if self._here(e)}

@@ -28,6 +28,9 @@ LINGER = 5.0
 """Seconds for which a message is still sent again, after the call has returned, to subscribers that may have lost
 it."""
 
+OFFERED_WITHIN = 0.5
+"""Seconds within which the services of a node must be discovered after its subscription; not every node has any."""
+
 CHECK_PERIOD = 0.02
 """Seconds between two reads of the graph or a queue during a wait."""
 
@@ -215,6 +218,8 @@ class InstanceCaller:
         message: Mapping[str, Any] | bytes | Callable[[], bytes],
         within: float,
         count: int = 1,
+        *,
+        answered: bool = False,
     ) -> None:
         """Publish a message ``count`` times, and wait until the subscribers have received it. Raises CallFailed.
 
@@ -222,25 +227,33 @@ class InstanceCaller:
         a function is called for the bytes at the last moment.
 
         Instances of one workload match each other's subscribers and cannot reach them, and the middleware does not
-        report whose acknowledgement is missing. So if there are subscribers elsewhere, the message is sent repeatedly
-        for a while, without waiting.
+        report whose acknowledgement is missing. So if there are subscribers elsewhere, also of a process that has just
+        ended, the message is sent repeatedly for a while, without waiting. With ``answered``, the nodes here that
+        subscribe must have answered a request since then: otherwise a process that is stopped, or has not discovered
+        the publisher yet, would count as one that has received the message.
         """
         async with self._bound(f"topic {topic}", within) as (opened, bound):
             cls = message_class(type_name)
             wire = to_message(cls, message) if isinstance(message, Mapping) else message
             publisher = opened.publisher(cls, topic, count)
-            lingers = 0.0
+            elsewhere = False
             try:
                 bound.missing = f"nobody subscribes to {topic} as {type_name}"
                 await _until(lambda: opened.is_read(publisher, topic, type_name))
                 for _ in range(count):
                     publisher.publish(wire() if callable(wire) else wire)
                 bound.missing = f"the subscribers of {topic} have not taken the message"
-                while not await asyncio.to_thread(_acknowledged, publisher):
-                    if opened.is_read_elsewhere(topic, type_name):
-                        lingers = LINGER
+                while True:
+                    elsewhere = opened.is_read_elsewhere(topic, type_name)
+                    if elsewhere and answered and await _answer(opened, bound, topic, type_name):
+                        break
+                    if await asyncio.to_thread(_acknowledged, publisher):
+                        elsewhere = False
+                        break
+                    if elsewhere:
                         break
             finally:
+                lingers = LINGER if elsewhere else 0.0
                 asyncio.get_running_loop().call_later(lingers, opened.node.destroy_publisher, publisher)
 
     async def topic_type(self, topic: str, within: float) -> str:
@@ -373,6 +386,22 @@ def _acknowledged(publisher: Any) -> bool:
     from rclpy.duration import Duration
 
     return bool(publisher.wait_for_all_acked(Duration(seconds=0.2)))
+
+
+async def _answer(opened: CallingNode, bound: _CallProgress, topic: str, type_name: str) -> bool:
+    """Wait until the nodes here that subscribe to a topic have answered a request. Return False if none of them offers parameters."""
+
+    def services() -> dict[str, str]:
+        return {f"{node}/get_parameters": node for node in opened.subscribers(topic, type_name)}
+
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(OFFERED_WITHIN):
+            await _until(lambda: all(map(opened.serves, services())))
+    offered = {service: node for service, node in services().items() if opened.serves(service)}
+    for service, node in offered.items():
+        bound.missing = f"a message was sent on {topic}, and node {node} has not answered since then"
+        await _asked(opened, _CallProgress(""), service, "rcl_interfaces/srv/GetParameters", {}, repeat=REPEAT)
+    return bool(offered)
 
 
 async def _until(holds: Callable[[], bool]) -> None:
