@@ -148,6 +148,7 @@ def _judge(
         goals=_ended(robot.goals()),
         nodes=witness.nodes(),
         monitors=witness.monitors(robot.workload),
+        unmonitored=witness.unmonitored(robot.workload),
         unled=witness.unled(),
     )
     dump(
@@ -159,6 +160,7 @@ def _judge(
         finished=seen.finished,
         goals=seen.goals,
         monitors=seen.monitors,
+        unmonitored=seen.unmonitored,
     )
     return judge(seen, injected)
 

@@ -144,6 +144,8 @@ class Seen:
     """The node of each instance."""
     monitors: Sequence[tuple[float, str]] = ()
     """When a monitor became ready, and on which node, in order."""
+    unmonitored: Sequence[tuple[float, float]] = ()
+    """From when to when no monitor of it ran."""
     unled: Sequence[tuple[float, float]] = ()
     """From when to when no operator led."""
 
@@ -190,6 +192,8 @@ class Judgement:
     """Seconds without an operator that led, which restores what somebody deletes."""
     restarted_unwatched: list[int] = field(default_factory=list)
     """Steps that an instance lost that restarted in place while no monitor watched it."""
+    unkept: list[int] = field(default_factory=list)
+    """Steps that were lost because they were made while no monitor ran, or before a new one had received the instance."""
     unwatched: list[float] = field(default_factory=list)
     """Seconds without a monitor after the loss of its node."""
     one_sided: list[float] = field(default_factory=list)
@@ -274,12 +278,16 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
         if length > allowed:
             text = f"{length:.2f} s without a command ({strategy or 'no recovery'}; {allowed:.2f} s are allowed)"
             violation("gap", begin + length, text, begin)
-    for at, steps, pods in lost_steps(seen):
+    for last, first, steps in lost_steps(seen):
+        at, pods = first.received, (last.source, first.source)
         if pods[0] == pods[1] and covered(unwatched(seen, theirs), at - 1.0, at):
             found.restarted_unwatched.append(steps)
             continue
         if any(returned(seen.nodes.get(pod, ""), at, injected) is not None for pod in pods):
             continue  # the commands of two instances alternate
+        if nobodys := min(steps, unkept(seen, last)):
+            found.unkept.append(nobodys)
+            steps -= nobodys
         found.lost_steps.append(steps)
         if steps > STATE_AGE / period:
             violation("state lost", at, f"{steps} steps, from {pods[0]} to {pods[1]}")
@@ -496,8 +504,8 @@ def covered(windows: Iterable[tuple[float, float]], begin: float, end: float) ->
     return total
 
 
-def lost_steps(seen: Seen) -> Iterator[tuple[float, int, tuple[str, str]]]:
-    """Yield when the application's steps went back, by how many, and from which instance to which.
+def lost_steps(seen: Seen) -> Iterator[tuple[Command, Command, int]]:
+    """Yield between which two commands the application's steps went back, and by how many.
 
     Commands count in the order in which they were sent: one that arrives late is stale, and no state is lost by it. Those of a fenced
     instance do not count: what it did since nobody could keep, as on a node that was cut off. A new instance may
@@ -512,7 +520,20 @@ def lost_steps(seen: Seen) -> Iterator[tuple[float, int, tuple[str, str]]]:
             its_own = [c for c in soon if c.source == b.source]
             reached = max(seen.steps[c.sequence] - count for count, c in enumerate(its_own))
         if reached < before:
-            yield b.received, before - reached, (a.source, b.source)
+            yield a, b, before - reached
+
+
+def unkept(seen: Seen, last: Command) -> int:
+    """Return how many steps an instance had made up to its last command since its monitor had ended; 0 if a newer one had received it.
+
+    Nobody keeps these steps, which are lost if the instance fails then.
+    """
+    for begin, end in seen.unmonitored:
+        if begin < last.received <= end + LISTENS:
+            own = [c for c in seen.commands if c.source == last.source and c.received <= begin]
+            reached = max((seen.steps[c.sequence] for c in own if c.sequence in seen.steps), default=None)
+            return seen.steps[last.sequence] - reached if reached is not None else 0
+    return 0
 
 
 def rightness(recovery: Recovered, seen: Seen, injected: Sequence[Injected]) -> str:

@@ -79,6 +79,8 @@ def summarize(
         report.figure("time without an operator that leads", unled, unit="s")
     if restarted := [steps for judgement in judgements for steps in judgement.restarted_unwatched]:
         report.figure("steps lost by an instance that restarted in place without a monitor", restarted, unit="steps")
+    if unkept := [steps for judgement in judgements for steps in judgement.unkept]:
+        report.figure("steps lost that were made without a monitor", unkept, unit="steps")
     if unwatched := [seconds for judgement in judgements for seconds in judgement.unwatched]:
         report.figure("time without a monitor after the loss of its node", unwatched, unit="s")
     counted("gaps beyond the bound of the strategy", "gap")

@@ -8,7 +8,7 @@ import math
 import re
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -89,6 +89,8 @@ class Witness:
         self._commits: dict[str, list[Commit]] = {names.gate(workload): [] for workload in workloads}
         self._nodes: dict[str, str] = {}
         self._monitors: dict[str, dict[float, str]] = {workload: {} for workload in workloads}
+        self._ran: dict[str, dict[str, tuple[float, float]]] = {workload: {} for workload in workloads}
+        """From when to when each pod of a workload's monitor was seen, from its readiness on, by its UID."""
         self._renewals: set[float] = set()
         self._read: dict[Path, int] = {}
         self.tracebacks: list[Traceback] = []
@@ -133,6 +135,10 @@ class Witness:
     def monitors(self, workload: str) -> list[tuple[float, str]]:
         """Return when a monitor of a workload became ready, and on which node, in order."""
         return sorted(self._monitors[workload].items())
+
+    def unmonitored(self, workload: str) -> list[tuple[float, float]]:
+        """Return from when to when no monitor of a workload was seen to run."""
+        return list(between(self._ran[workload].values()))
 
     def unled(self) -> list[tuple[float, float]]:
         """Return from when to when no operator led."""
@@ -199,8 +205,13 @@ class Witness:
                 self._recoveries[name, int(entry["number"])] = entry
         self._pods = {pod["metadata"]["name"]: _pod(pod) for pod in self._kubectl.list("pods")}
         self._nodes |= {pod.name: pod.node for pod in self._pods.values() if pod.node}
-        for workload, monitors in self._monitors.items():
-            monitors |= {pod.ready_since: pod.node for pod in self.parts(workload, "monitor") if pod.ready_since}
+        for workload, ran in self._ran.items():
+            for pod in self.parts(workload, "monitor"):
+                if pod.ready_since:
+                    self._monitors[workload][pod.ready_since] = pod.node
+                    ran.setdefault(pod.uid, (pod.ready_since, pod.ready_since))
+                if pod.uid in ran:  # one that is not ready now, as on a node that is late, may run nevertheless
+                    ran[pod.uid] = ran[pod.uid][0], time.time()
         system = self._kubectl.in_namespace(SYSTEM).list("pods", "app.kubernetes.io/name=understudy")
         self._operators = [_pod(pod) for pod in system]
         if (lease := self._kubectl.in_namespace(SYSTEM).find("lease", LEASE)) is not None:
@@ -248,6 +259,15 @@ class Witness:
                 with (self._folder / f"{pod.split('_')[1]}-{file.parent.name}.log").open("a") as kept:
                     kept.write(text)
                 self.tracebacks += tracebacks(text, f"{pod}/{file.parent.name}", time.time())
+
+
+def between(spans: Iterable[tuple[float, float]]) -> Iterator[tuple[float, float]]:
+    """Yield the times that none of the spans covers, without those before the first and after the last one."""
+    reached = math.inf
+    for begin, end in sorted(spans):
+        if begin > reached:
+            yield reached, begin
+        reached = end if math.isinf(reached) else max(reached, end)
 
 
 def tracebacks(text: str, source: str, at: float) -> Iterator[Traceback]:

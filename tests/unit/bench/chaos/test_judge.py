@@ -324,6 +324,22 @@ def test_an_instance_that_restarts_in_place_while_no_monitor_watches_loses_state
     assert [what for what in whats(found) if what == "state lost"] == expected
 
 
+@pytest.mark.parametrize(
+    ("next_monitor", "kept_until", "expected"),
+    [(60.0, 30.0, []), (60.0, 20.0, ["state lost"]), (40.0, 30.0, ["state lost"])],
+)
+def test_what_an_instance_did_while_no_monitor_ran_is_kept_by_nobody(
+    next_monitor: float, kept_until: float, expected: list[str]
+) -> None:
+    commands = log(drive("a", 1, 62), drive("b", 63, 70))
+    lost = round((62 - kept_until) / PERIOD)
+    steps = {c.sequence: c.sequence - (lost if c.source == "b" else 0) for c in commands}
+    more: Any = {"commits": [Commit(0.0, 1, ("a",)), Commit(62.9, 2, ("b",))], "recoveries": [recovery(62.5, 63.0)]}
+    found = judged(commands, fault("kill", 62.02), steps=steps, unmonitored=[(30.0, next_monitor)], **more)
+    assert [what for what in whats(found) if what == "state lost"] == expected
+    assert found.unkept == ([pytest.approx(640, abs=1)] if next_monitor == 60.0 else [])
+
+
 def test_what_an_instance_did_after_it_was_fenced_is_no_lost_state() -> None:
     returned = [Command(15.0, "a", 0, 15.0, *[0.0] * 6)]
     commands = log(drive("a", 1, 10), drive("b", 10.62, 14.9), returned, drive("b", 15.01, 20))

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from bench.chaos.robots import HOUSE, WAYS, CampaignRobot
-from bench.chaos.witness import tracebacks
+from bench.chaos.witness import between, tracebacks
 from tests.e2e.kubectl import Kubectl
 
 
@@ -54,6 +54,12 @@ def test_robots_stay_on_a_node_that_is_never_lost_and_instances_do_not_run_there
             assert term["matchExpressions"] == [
                 {"key": "kubernetes.io/hostname", "operator": "NotIn", "values": [HOUSE]}
             ]
+
+
+def test_a_workload_is_without_a_monitor_between_the_pods_of_its_monitor() -> None:
+    """A pod and its successor may overlap, and a reading that failed shortens nothing if the pod is seen again."""
+    assert list(between([(95.0, 120.0), (0.0, 40.0), (60.0, 100.0)])) == [(40.0, 60.0)]
+    assert list(between([])) == []
 
 
 def test_a_traceback_is_found_with_what_was_raised() -> None:
