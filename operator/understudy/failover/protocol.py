@@ -39,6 +39,10 @@ watched for (understudy.monitor.judge.sole_driver)."""
 SILENCE_CHECK_PERIOD = 0.010
 """Seconds between two checks whether another instance is heard."""
 
+STALL = 0.25
+"""Seconds between two such checks that show that this process was stalled. What arrived meanwhile may not have been read yet: samples, and
+that another process has changed the gate."""
+
 DELETED_WITHIN = 2.0
 """Seconds that the API server has to delete the pods that failed while another instance is to be verified."""
 
@@ -194,11 +198,13 @@ def _missing(progress: Progress) -> str:
 async def alone(target: Instance, progress: Progress, context: StrategyContext) -> None:
     """Wait until only one instance drives: after the gate changed, nobody else is heard for one of the others' periods and a margin.
 
-    A pod that is heard later is deleted, because the gate stops packets and not processes. Raises StillDriven and Superseded.
+    Only time in which this process listens counts: not the time before a new monitor began, and not a stall. A pod that is heard later is
+    deleted, because the gate stops packets and not processes. Raises StillDriven and Superseded.
     """
     moments, clock = progress.moments, context.clock
-    began = clock()
-    fenced = min(moments.get("fenced", moments.get("committing", progress.cursor)), began)
+    listening_since = clock()
+    silent_by = listening_since + SILENT_WITHIN
+    fenced = min(moments.get("fenced", moments.get("committing", progress.cursor)), listening_since)
     silence = min(context.outputs.period_of_others(target), PERIOD_MOST) + SILENCE_MARGIN
     is_leaking = False
     while True:
@@ -213,12 +219,15 @@ async def alone(target: Instance, progress: Progress, context: StrategyContext) 
             )
             await _end(progress, context)
             continue  # the pod may have gone on meanwhile
-        quiet_from = max(fenced, last)
+        quiet_from = max(fenced, last, listening_since)
         if (left := quiet_from + silence - clock()) <= 0:
             break
-        if is_leaking and clock() - began >= SILENT_WITHIN:
+        if is_leaking and clock() >= silent_by:
             raise StillDriven(f"{pod} still reaches the robot, although the gate does not let it through")
+        checked_at = clock()
         await asyncio.sleep(min(left, SILENCE_CHECK_PERIOD))
+        if (apart := clock() - checked_at) >= STALL:
+            listening_since, silent_by = clock(), silent_by + apart
     _assert_admitted(target.uid, target.name, context)
     moments["verified"] = clock()
 

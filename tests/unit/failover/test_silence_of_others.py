@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import asyncio
+import time
+from collections.abc import Callable
+
 import pytest
 
 from tests.unit.failover.recoveries import choices, failure, protected
 from tests.unit.failover.test_switchover import driven, switched
 from tests.unit.failover.world import Leak, Store, World
 from understudy.failover import protocol
+from understudy.failover.interfaces import GateState, Superseded
 from understudy.failover.progress import Progress
-from understudy.failover.protocol import SILENCE_MARGIN, recover
+from understudy.failover.protocol import SILENCE_MARGIN, STALL, recover
 from understudy.failover.strategies.executing import ExecutingFallback
 from understudy.failover.strategies.restart import Restart
 
@@ -114,3 +119,65 @@ async def test_a_switchover_whose_former_instance_goes_on_sending_is_not_recorde
     done = await switched(world, ExecutingFallback("hot"))
     assert (done.result, done.target and done.target.name) == ("Failed", "w-2")
     assert store.deleted == ["w-1"]
+
+
+READ_LATE = 0.03
+"""Seconds after a stall after which the samples and watch events of that time are read."""
+
+
+def _stall(read: Callable[[], None]) -> None:
+    """Stall the monitor while it listens to the others. What happened meanwhile is read a moment after that."""
+    loop = asyncio.get_running_loop()
+
+    def stall() -> None:
+        time.sleep(2 * STALL)
+        loop.call_later(READ_LATE, read)
+
+    loop.call_later(SILENCE_MARGIN / 2, stall)
+
+
+async def test_a_pod_that_sent_while_the_monitor_was_stalled_was_not_silent() -> None:
+    store = protected(pool="hot")
+    world = World(store)
+    sent = Leak(0.02, world.clock(), until=world.clock() + SILENCE_MARGIN + 2 * STALL)
+    _stall(lambda: store.leaks.update({"w-1": sent}))
+    done = await _recovered(store, world)
+    assert done.moments["verified"] >= sent.until - sent.period + SILENCE_MARGIN
+    assert store.deleted == ["w-1"]
+
+
+@pytest.mark.usefixtures("_short_patience")
+async def test_a_stall_of_the_monitor_does_not_use_up_the_time_within_which_others_must_be_silent() -> None:
+    store = protected(pool="hot")
+    world = World(store)
+    store.leaks["w-1"] = Leak(0.02, world.clock(), until=world.clock() + 0.1)
+    asyncio.get_running_loop().call_later(0.1 + SILENCE_MARGIN / 2, time.sleep, 1.2 * SILENT_WITHIN)
+    assert (await _recovered(store, world)).result == "Recovered"
+
+
+async def test_a_recovery_whose_gate_was_changed_during_a_stall_of_its_monitor_is_superseded() -> None:
+    store = protected(pool="hot")
+    world = World(store)
+
+    def read() -> None:
+        store.gate, store.watched = GateState(epoch=3, active="w-3", active_uid="uid-w-3"), True
+
+    _stall(read)
+    with pytest.raises(Superseded, match="w-3"):
+        await _recovered(store, world)
+
+
+async def test_a_monitor_that_continues_a_recovery_listens_to_the_others_itself() -> None:
+    store = protected(pool="hot")
+    await _recovered(store, World(store))
+    continued = store.journal
+    assert continued is not None
+    continued.result, continued.attempts = "Running", []
+    continued.moments = {name: moment - 10 for name, moment in continued.moments.items() if name != "verified"}
+    world = World(store)
+    began = world.clock()
+    sent = Leak(0.05, began + 0.03, until=began + 0.2)
+    store.leaks["w-1"] = sent
+    done = await recover(continued, choices(ExecutingFallback("hot"), Restart()), world.context())
+    assert done.result == "Recovered"
+    assert done.moments["verified"] >= began + 0.13 + SILENCE_MARGIN
