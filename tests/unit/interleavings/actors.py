@@ -119,6 +119,8 @@ class Monitor:
         self._observer: HealthObserver | None = None
         self.hindered_at = self.cut_off_at = self.recovered_at = robots.now
         """When (Unix seconds) something last kept it from noticing what its robot hears, and from acting; and its last recovery."""
+        self._is_behind, self.informed_at = False, robots.now
+        """Whether somebody has switched its gate and it does not know; and when (Unix seconds) it last learned of that late."""
 
     def note_hindrance(self) -> None:
         """Note whether something keeps it from noticing what its robot hears, or from acting."""
@@ -129,6 +131,8 @@ class Monitor:
             self.cut_off_at = now
         if self.current.progress is not None:
             self.recovered_at = now
+        gate = network.server.get("networkpolicies", (NAMESPACE, names.gate(self.workload)))
+        self._is_behind = _epoch(gate) > _epoch(self._gate)
 
     @property
     def is_hindered(self) -> bool:
@@ -147,7 +151,7 @@ class Monitor:
             status.health,
             sole,
             self.recovered_at,
-            self.hindered_at,
+            max(self.hindered_at, self.informed_at),
             self.cut_off_at,
             self.knows,
         )
@@ -209,6 +213,8 @@ class Monitor:
     def _look(self, gate: Object | None) -> None:
         """What it knows of its gate never goes back, unless somebody has deleted the gate."""
         before, self._gate = self._gate, gate
+        if self._is_behind and _epoch(gate) > _epoch(before):
+            self._is_behind, self.informed_at = False, self._robots.now
         if before is None or gate is None or before["metadata"]["uid"] != gate["metadata"]["uid"]:
             return
         old, new = (int(found["metadata"]["resourceVersion"]) for found in (before, gate))
@@ -243,6 +249,11 @@ class Monitor:
     def wake(self) -> None:
         """Have it look at once."""
         self.wakeups.evaluation.set()
+
+
+def _epoch(gate: Object | None) -> int:
+    """The epoch of a gate; 0 if there is none."""
+    return GateRecord.of(gate).epoch if gate is not None else 0
 
 
 def _differences(who: str, known: Mapping[str, Object], found: Mapping[str, Object]) -> Iterator[str]:

@@ -35,7 +35,8 @@ class Says:
     recovered_at: float
     """When (Unix seconds) a recovery was last under way."""
     unhindered_since: float
-    """Since when (Unix seconds) nothing has kept it from noticing."""
+    """Since when (Unix seconds) nothing has kept it from noticing. If it learns late that another monitor has switched the gate, another
+    instance is the second driver from then on, and it may still be what the network needs to enforce the change."""
     acts_since: float
     """Since when (Unix seconds) it also reaches the API server."""
     knows: frozenset[str] = frozenset()
