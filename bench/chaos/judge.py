@@ -61,6 +61,9 @@ LISTENS = 6.0
 API = {"api-stop", "api-slow", "api-flap"}
 """The kinds of faults during which nobody learns of changes."""
 
+EVICTS = 30.0
+"""Seconds after a failure of the API server within which Kubernetes may evict pods because it did not hear their nodes meanwhile."""
+
 BEFORE = 8.0
 """Seconds before a switch in which a fault may have been its cause."""
 
@@ -455,7 +458,9 @@ def gaps(
         found = _recoveries(seen, a.received, b.received)
         waits = [one.waiting for one in injected if BY_NAME[one.fault.kind].delays]
         waits += unrepaired(seen, injected, a.received, b.received)
-        explained = covered([*waits, *leaked, *unwatched(seen, injected)], a.received, b.received)
+        explained = covered(
+            [*waits, *leaked, *unwatched(seen, injected), *evicted(seen, injected)], a.received, b.received
+        )
         allowed = seen.timeout + SWITCH + sum(_allowed(recovery) for recovery in found)
         strategy = max(found, key=_allowed).strategy if found else ""
         yield a.received, b.received - a.received - explained, strategy, allowed
@@ -474,6 +479,16 @@ def unwatched(seen: Seen, injected: Sequence[Injected]) -> Iterator[tuple[float,
         if lost.fault.kind in NODE_LOST and before and before[-1] == lost.told:
             back = next((ready for ready, _ in seen.monitors if ready > lost.begun), math.inf)
             yield lost.begun, back + LISTENS
+
+
+def evicted(seen: Seen, injected: Sequence[Injected]) -> Iterator[tuple[float, float]]:
+    """Yield the times in which a robot had no monitor, because Kubernetes took the monitor's node for lost when the API server failed.
+
+    How long the next pod takes to start is a matter of Kubernetes and of the machine.
+    """
+    for begin, end in seen.unmonitored:
+        if any(one.fault.kind in API and one.begun <= begin <= one.ended + EVICTS for one in injected):
+            yield begin, end + LISTENS
 
 
 def _recoveries(seen: Seen, begin: float, end: float) -> list[Recovered]:
