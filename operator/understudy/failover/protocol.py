@@ -60,16 +60,17 @@ async def recover(progress: Progress, choices: Sequence[Choice], context: Strate
     if progress.result == "Recovered":
         await retire(progress, context)
         return progress
-    for index in range(min(progress.index, len(choices)), len(choices)):
+    index = progress.index
+    while index < len(choices):
         choice = choices[index]
         progress.index, progress.strategy = index, choice.strategy.name
         # The first run has decided already if this one continues it.
         progress.charge("cluster", progress.moments.setdefault("decided", context.clock()))
         if progress.attempts:
             context.save(progress)  # otherwise nothing was done yet, and the first commit must not wait
-        result, message = await _attempt(progress, choice, context, last=index == len(choices) - 1)
+        result, message = await _attempt(progress, choices[: index + 1], context, last=index == len(choices) - 1)
         pod = progress.target.name if progress.target else ""
-        listed: Verdict = "NotVerified" if result == "StillDriven" else result
+        listed: Verdict = "NotVerified" if result == "StillDriven" or result == "Overtaken" else result
         progress.attempts.append(Attempt(strategy=choice.strategy.name, pod=pod, result=listed, message=message))
         _logger.info("strategy %s with %s: %s %s", choice.strategy.name, pod or "no pod", result, message)
         if result == "Verified":
@@ -80,6 +81,10 @@ async def recover(progress: Progress, choices: Sequence[Choice], context: Strate
             break
         progress.fail_target()
         progress.forget_attempt()
+        if (back := _available_again(progress, choices[:index], context)) is not None:
+            index = back
+        elif result != "Overtaken":  # otherwise the standby is not ready any more, and this strategy had not failed
+            index += 1
     else:
         progress.result, progress.strategy = "Failed", ""
     context.save(progress)
@@ -91,38 +96,88 @@ async def recover(progress: Progress, choices: Sequence[Choice], context: Strate
 Verdict = Literal["Verified", "NotVerified", "NotAvailable"]
 
 
+class _Overtaken(Exception):
+    """A standby that was not ready before is ready, while the strategy still waits for a new pod. The text of the error is the reason."""
+
+
+def _available_again(progress: Progress, choices: Sequence[Choice], context: StrategyContext) -> int | None:
+    """Return the index of the first of these strategies that had no instance when it was tried, and whose standby is ready now.
+
+    Each is tried once more, so that a standby that is ready and not, again and again, does not keep the recovery from its other strategies.
+    """
+    for index, one in enumerate(choices):
+        results = [attempt.result for attempt in progress.attempts if attempt.strategy == one.strategy.name]
+        is_candidate = one.strategy.has_own_instance and results == ["NotAvailable"]
+        if is_candidate and context.holds(one.strategy) is None and one.strategy.available(context, progress) is None:
+            return index
+    return None
+
+
 async def _attempt(
-    progress: Progress, choice: Choice, context: StrategyContext, *, last: bool
-) -> tuple[Verdict | Literal["StillDriven"], str]:
+    progress: Progress, choices: Sequence[Choice], context: StrategyContext, *, last: bool
+) -> tuple[Verdict | Literal["StillDriven", "Overtaken"], str]:
+    """Try the last of these strategies, of which the others were tried before."""
+    *before, choice = choices
     is_resumed = progress.target is not None or progress.waiting is not None  # by an earlier monitor
     if not is_resumed and (reason := context.holds(choice.strategy)) is not None:
         return "NotAvailable", reason
     try:
-        await _in_its_time(progress, choice, context, last=last)
+        await _in_its_time(progress, choice, context, before, last=last)
     except NotAvailable as reason:
         return "NotAvailable", str(reason)
     except NotVerified as reason:
         return "NotVerified", str(reason)
     except StillDriven as reason:
         return "StillDriven", str(reason)
+    except _Overtaken as reason:
+        return "Overtaken", str(reason)
     except TimeoutError:
         return "NotVerified", f"the strategy was not verified within {choice.verify_within:g} s: {_missing(progress)}"
     progress.epoch = context.gate.state.epoch
     return "Verified", ""
 
 
-async def _in_its_time(progress: Progress, choice: Choice, context: StrategyContext, *, last: bool) -> None:
+async def _in_its_time(
+    progress: Progress, choice: Choice, context: StrategyContext, before: Sequence[Choice], *, last: bool
+) -> None:
     """Wait for the resources of the strategy, carry it out within its time, and wait until its instance drives alone."""
     while True:
         await choice.strategy.wait(progress, context, within=choice.verify_within)
         try:
             async with answered_time(choice.verify_within, context):
-                work = _carry_out(progress, choice, context)
+                work = _unless_overtaken(_carry_out(progress, choice, context), progress, choice, context, before)
                 target = await unless_lost(work, progress, context, crashing_counts=not last)
             await unless_lost(alone(target, progress, context), progress, context, crashing_counts=not last)
             return
         except ClaimsLost as reason:
             _logger.info("%s", reason)
+
+
+async def _unless_overtaken(
+    work: Coroutine[None, None, T],
+    progress: Progress,
+    choice: Choice,
+    context: StrategyContext,
+    before: Sequence[Choice],
+) -> T:
+    """Do the work and return its result, but raise _Overtaken if a standby of an earlier strategy is ready before there is a new pod.
+
+    While the gate is not closed, a commit may be under way, which must not be left in progress.
+    """
+    if not choice.strategy.makes_pod or not before:
+        return await work
+    working = asyncio.create_task(work)
+    try:
+        while not (await asyncio.wait((working,), timeout=LOST_CHECK_PERIOD))[0]:
+            if progress.target is not None or not context.gate.state.closed:
+                continue
+            if (back := _available_again(progress, before, context)) is not None:
+                name = before[back].strategy.name
+                raise _Overtaken(f"there was no new pod yet, and strategy {name} can be carried out now")
+        return working.result()
+    finally:
+        working.cancel()
+        await asyncio.gather(working, return_exceptions=True)
 
 
 async def _carry_out(progress: Progress, choice: Choice, context: StrategyContext) -> Instance:

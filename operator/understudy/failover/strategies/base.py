@@ -49,6 +49,8 @@ class Strategy(ABC):
     pool: str = ""
     has_own_instance = False
     """Whether the instance runs for this robot already, so that trying it takes no pod from other robots."""
+    makes_pod = False
+    """Whether it waits for a new pod, which takes as long as Kubernetes needs."""
 
     @abstractmethod
     async def prepare(self, progress: Progress, context: StrategyContext, *, within: float) -> Instance:

@@ -21,6 +21,7 @@ class Restart(Strategy):
     """The pod is deleted, and the workload's own controller starts another one."""
 
     name = "Restart"
+    makes_pod = True
 
     def __init__(self, *, recovery: BringUp | None = None) -> None:
         self.recovery = recovery
