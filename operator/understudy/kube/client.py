@@ -162,6 +162,8 @@ EVICTION = "DeletionByTaintManager"
 
 PODS = Resource("", "v1", "pods")
 POD_METRICS = Resource("metrics.k8s.io", "v1beta1", "pods")
+_AGGREGATED = f"/apis/{POD_METRICS.group}/"
+"""Paths that another server answers, behind the API server. If that one does not know who asks, the API server does."""
 SERVICES = Resource("", "v1", "services")
 CONFIG_MAPS = Resource("", "v1", "configmaps")
 SECRETS = Resource("", "v1", "secrets")
@@ -367,7 +369,8 @@ class Client:
                 ) as response:
                     text = await response.read()
                     status = response.status
-                if status == 401:  # no usable answer: within the context, so that the time does not count as answered
+                if status == 401 and not path.startswith(_AGGREGATED):
+                    # No usable answer: raised within the context, so that the time does not count as answered.
                     self._renew_token()
                     raise _error(status, text.decode(errors="replace"))
         finally:

@@ -11,7 +11,7 @@ import pytest
 from aiohttp import web
 
 from understudy.kube import api_contact, claims
-from understudy.kube.client import PODS, Access, ApiError, Client
+from understudy.kube.client import POD_METRICS, PODS, Access, ApiError, Client
 
 
 class Server:
@@ -31,6 +31,9 @@ class Server:
         self.statuses.append(200)
         return web.json_response({"metadata": {"name": "w-1"}})
 
+    async def metrics(self, request: web.Request) -> web.Response:
+        return self._refused(401, "Unauthorized")
+
     def _refused(self, status: int, reason: str) -> web.Response:
         self.statuses.append(status)
         return web.json_response({"reason": reason, "message": reason}, status=status)
@@ -41,6 +44,7 @@ async def server() -> AsyncIterator[Server]:
     found = Server()
     app = web.Application()
     app.router.add_get("/api/v1/namespaces/fleet/pods/w-1", found.pod)
+    app.router.add_get("/apis/metrics.k8s.io/v1beta1/namespaces/fleet/pods", found.metrics)
     runner = web.AppRunner(app)
     await runner.setup()
     await web.TCPSite(runner, "127.0.0.1", 0).start()
@@ -99,3 +103,9 @@ async def test_a_missing_role_counts_as_a_refusal_only_some_time_after_the_first
         await claims.answered(lambda: client.get(PODS, "fleet", "w-1"))
     assert len(server.statuses) > 1
     assert client.contact.unanswered_since is None, "it answers"
+
+
+async def test_an_aggregated_server_that_knows_no_client_is_no_outage_of_the_api_server(client: Client) -> None:
+    with pytest.raises(ApiError, match="401"):
+        await client.list(POD_METRICS, "fleet")
+    assert client.contact.unanswered_since is None
