@@ -1,8 +1,8 @@
 """A campaign of random faults against robots on the real cluster, judged at the robots.
 
-    scripts/bench chaos [--faults 100] [--seed 1] [--robots 6] [--every 4] [--only KIND ...] [--timeout 1]
+    scripts/bench chaos [--faults 100] [--seed 1] [--robots WAY ...] [--every 4] [--only KIND ...] [--timeout 1]
 
-Six or more robots are driven at once, each recovered in another way: an executing standby, the same with a reflex, a
+Six robots are driven at once, each recovered in another way: an executing standby, the same with a reflex, a
 restart, a held pod, a configured standby, and an application that counts its steps and serves goals. Every few seconds
 something fails: processes, pods, nodes, links, networks, monitors, the operator, the API server, discovery servers, gates and
 labels. The seed decides what, when and to whom. Each robot's own log says which commands it received, who sent them,
@@ -20,7 +20,7 @@ import sys
 import uuid
 from pathlib import Path
 
-from bench.chaos import plan
+from bench.chaos import plan, ways
 
 
 def main() -> int:
@@ -29,7 +29,8 @@ def main() -> int:
     )
     parser.add_argument("--faults", type=int, default=100, metavar="N")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--robots", type=int, default=6, metavar="N")
+    parser.add_argument("--robots", nargs="+", choices=list(ways.BY_NAME), default=list(ways.BY_NAME), metavar="WAY",
+                        help=f"one robot for each of {', '.join(ways.BY_NAME)} (default: all); six use two cores up")  # fmt: skip
     parser.add_argument("--every", type=float, default=4.0, metavar="SECONDS", help="mean time between two faults")
     parser.add_argument("--only", nargs="+", choices=list(plan.BY_NAME), default=[], metavar="KIND",
                         help=f"kinds of faults: {', '.join(plan.BY_NAME)} (default: all)")  # fmt: skip

@@ -115,15 +115,16 @@ class Faults:
             "label-remove": self._label_remove,
             "label-exchange": self._label_exchange,
         }
-        begun, told, refused = time.time(), "", ""
+        begun, told, refused, is_unsure = time.time(), "", "", False
         try:
             with kinds[fault.kind](fault) as told:
                 print(f"{time.strftime('%H:%M:%S')} {fault}: {told}", flush=True)
                 time.sleep(fault.seconds)
         except (NotPossible, Failed, OSError, subprocess.SubprocessError) as error:
             refused = " ".join(str(error).split())[-300:] or repr(error)
+            is_unsure = isinstance(error, subprocess.TimeoutExpired)
             print(f"{time.strftime('%H:%M:%S')} {fault}: NOT MADE: {refused}", flush=True)
-        self._made[fault.number] = Injected(fault, begun, time.time(), told, refused)
+        self._made[fault.number] = Injected(fault, begun, time.time(), told, refused, is_unsure)
 
     # -- whom ------------------------------------------------------------------------------------------------------
 

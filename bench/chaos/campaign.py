@@ -40,7 +40,7 @@ def run(kubeconfig: Path, namespace: str, options: argparse.Namespace) -> int:
     """Run the campaign and return the exit status."""
     for number in (signal.SIGINT, signal.SIGTERM):  # whoever ends it: what was broken must be repaired
         signal.signal(number, signal.default_int_handler)
-    faults = plan.plan(options.seed, options.faults, options.robots, options.every, options.only)
+    faults = plan.plan(options.seed, options.faults, len(options.robots), options.every, options.only)
     # The campaign changes labels, so that it is seen how soon they are restored without the admission policy.
     install(kubeconfig, CHART, "--set", f"admission.labelWriters={{{Cluster(kubeconfig).user}}}")
     kubectl = Kubectl(kubeconfig, namespace)
@@ -63,7 +63,9 @@ def run(kubeconfig: Path, namespace: str, options: argparse.Namespace) -> int:
         for volume in (one for one in volumes if one.startswith(namespace)):
             kubectl("delete", "persistentvolume", volume, "--wait=false")
     report = summarize(options.seed, injected, judgements, aftermath, settled_within=SETTLE)
-    command = f"--faults {options.faults} --seed {options.seed} --robots {options.robots} --every {options.every:g}"
+    command = (
+        f"--faults {options.faults} --seed {options.seed} --robots {' '.join(options.robots)} --every {options.every:g}"
+    )
     only = f" --only {' '.join(options.only)}" if options.only else ""
     report.note("campaign", f"scripts/bench chaos {command} --timeout {options.timeout:g}{only}")
     report.note("robots", ", ".join(robot.name for robot in robots))

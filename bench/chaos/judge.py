@@ -96,6 +96,8 @@ class Injected:
     """What it was made on."""
     refused: str = ""
     """Why it could not be made; empty if it was."""
+    is_unsure: bool = False
+    """Whether it may have been made nevertheless: the API server did not answer in time."""
 
     @property
     def waiting(self) -> tuple[float, float]:
@@ -209,7 +211,7 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
     """Judge one robot."""
     found = Judgement(seen.name)
     seen = replace(seen, commits=_dated(seen.commits, seen.recoveries))
-    theirs = [one for one in injected if not one.refused and affects(one, seen.index)]
+    theirs = [one for one in injected if (not one.refused or one.is_unsure) and affects(one, seen.index)]
 
     def violation(what: str, at: float, text: str, since: float | None = None) -> None:
         begin = at - BEFORE if since is None else since - 2.0
@@ -559,7 +561,12 @@ def rightness(recovery: Recovered, seen: Seen, injected: Sequence[Injected]) -> 
     before_it = RESTART_KNOWN if UNSEEN in recovery.reason else 2 * seen.timeout
     if any(BY_NAME[i.fault.kind].disturbs and i.overlaps(detected - before_it, detected) for i in injected):
         return "right"
-    before = [c.received for c in seen.commands if detected - 3 * seen.timeout <= c.received <= detected] + [detected]
+    end, limit = detected, seen.timeout
+    if (
+        "reflex" in recovery.strategy
+    ):  # the robot's reader switches by itself, and the monitor notices that before or after it
+        limit = seen.reflex
+        end = next((c.received for c in seen.commands if c.received > detected), detected)
+    before = [c.received for c in seen.commands if detected - 3 * seen.timeout <= c.received <= detected] + [end]
     silent = max((b - a for a, b in pairwise(before)), default=math.inf)
-    limit = seen.reflex if "reflex" in recovery.strategy else seen.timeout
     return "busy" if silent >= SHARE * limit else "false"

@@ -1,4 +1,4 @@
-"""The robots of a campaign: one for each way to recover, in one namespace."""
+"""Starts the robots of a campaign in one namespace, and reads what they wrote down."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 
 from understudy_demo.robotview import RobotLog
 
+from bench.chaos.ways import BY_NAME, Way
 from tests.e2e.faults import staying
 from tests.e2e.kubectl import Kubectl, Object
 from tests.e2e.scenario import APPLICATION, Robot, manifest, shared_claim
@@ -37,30 +38,6 @@ _HARDENED = {"allowPrivilegeEscalation": False, "capabilities": {"drop": ["ALL"]
 
 
 @dataclass(frozen=True)
-class Way:
-    """A way to recover, and the application that is recovered by it."""
-
-    name: str
-    strategy: str
-    """The quickstart's manifest with policy and pool."""
-    workload: str = "robotworkload.yaml"
-    reflex: bool = False
-    worker: bool = False
-    """Whether the application is the one that counts steps and serves goals, instead of the quickstart's."""
-
-
-WAYS = (
-    Way("executing", "executing"),
-    Way("reflex", "executing", reflex=True),
-    Way("restart", "restart"),
-    Way("uninitialized", "uninitialized"),
-    Way("initialized", "initialized", "managed/robotworkload.yaml"),
-    Way("worker", "uninitialized", worker=True),
-)
-"""More robots than these begin with the first one again. All examples have applications in Python: there is no image with one in C++."""
-
-
-@dataclass(frozen=True)
 class Journal:
     """What a robot wrote down."""
 
@@ -74,8 +51,8 @@ class Journal:
 class CampaignRobot(Robot):
     """A robot of the campaign."""
 
-    def __init__(self, kubectl: Kubectl, index: int, timeout: float) -> None:
-        self.index, self.way, self.timeout = index, WAYS[index % len(WAYS)], timeout
+    def __init__(self, kubectl: Kubectl, index: int, way: Way, timeout: float) -> None:
+        self.index, self.way, self.timeout = index, way, timeout
         super().__init__(kubectl, f"{self.way.name}-{index + 1}")
 
     @property
@@ -198,11 +175,11 @@ def _volume() -> Object:
     return {"name": "nodes", "configMap": {"name": "nodes"}}
 
 
-def start(kubectl: Kubectl, count: int, timeout: float, folder: Path) -> Sequence[CampaignRobot]:
-    """Create so many robots, and wait until all are protected. The workers' kept state is in the folder."""
+def start(kubectl: Kubectl, ways: Sequence[str], timeout: float, folder: Path) -> Sequence[CampaignRobot]:
+    """Create a robot for each of these ways, and wait until all are protected. The workers' kept state is in the folder."""
     program = {"apiVersion": "v1", "kind": "ConfigMap", "metadata": {"name": "nodes"}}
     kubectl.apply([program | {"data": {"worker.py": _FILE.read_text()}}])
-    robots = [CampaignRobot(kubectl, index, timeout) for index in range(count)]
+    robots = [CampaignRobot(kubectl, index, BY_NAME[way], timeout) for index, way in enumerate(ways)]
     for robot in robots:
         if robot.way.worker:
             kubectl.apply(shared_claim(kubectl, f"{robot.name}-{KEPT}", folder / f"{robot.name}-{KEPT}"))

@@ -206,6 +206,8 @@ class AgentConnections:
         return self._tokens[secret]
 
     def _changed(self, uid: str, link: AgentLink) -> None:
+        if self._links.get(uid) is not link:
+            return  # it is being closed, and connected just before
         if link.connected:
             self._configure(uid)
         else:

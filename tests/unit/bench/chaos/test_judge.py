@@ -264,6 +264,8 @@ def test_a_failover_is_false_if_the_robot_had_its_commands_and_no_fault_disturbe
     reflex = [recovery(10.5, 10.6, "Fallback/Executing (reflex)")]
     early = judged(log(drive("a", 1, 10.2), drive("b", 10.5, 20)), recoveries=reflex, reflex=0.3)
     assert (early.unexplained, "false failover" in whats(early)) == (1, False), "a reflex is faster than the timeout"
+    late = judged(log(drive("a", 1, 10.31), drive("b", 10.62, 20)), recoveries=reflex, reflex=0.3)
+    assert "false failover" not in whats(late), "the robot's reader switched, after the monitor's had"
     silent = judged(log(drive("a", 1, 10), drive("b", 10.62, 20)), recoveries=recoveries)
     assert silent.unexplained == 1
     assert whats(silent) == []
@@ -273,6 +275,8 @@ def test_a_fault_that_could_not_be_made_explains_nothing() -> None:
     commands = log(drive("a", 1, 10.55), drive("b", 10.62, 20))
     refused = Injected(KILLED.fault, 10.02, 10.02, refused="no pod")
     assert whats(judged(commands, refused, recoveries=[recovery(10.5, 10.6)])) == ["false failover"]
+    unsure = replace(refused, refused="timed out", is_unsure=True)
+    assert whats(judged(commands, unsure, recoveries=[recovery(10.5, 10.6)])) == [], "it may have been made"
 
 
 def test_steps_that_go_back_by_more_than_the_age_of_kept_state_are_lost() -> None:

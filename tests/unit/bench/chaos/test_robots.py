@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from bench.chaos.robots import HOUSE, WAYS, CampaignRobot
+from bench.chaos.robots import HOUSE, CampaignRobot
+from bench.chaos.ways import WAYS
 from bench.chaos.witness import between, tracebacks
 from tests.e2e.kubectl import Kubectl
 
@@ -15,14 +16,13 @@ from tests.e2e.kubectl import Kubectl
 def robots(monkeypatch: pytest.MonkeyPatch) -> list[CampaignRobot]:
     monkeypatch.setattr("shutil.which", lambda name: f"/usr/bin/{name}")
     kubectl = Kubectl(Path("/nowhere"), "chaos")
-    return [CampaignRobot(kubectl, index, 1.0) for index in range(8)]
+    return [CampaignRobot(kubectl, index, way, 1.0) for index, way in enumerate(WAYS)]
 
 
 def test_no_two_robots_share_an_object(robots: list[CampaignRobot]) -> None:
     found = [(item["kind"], item["metadata"]["name"]) for robot in robots for item in robot.all_objects()]
     assert len(found) == len(set(found))
-    assert [robot.way.name for robot in robots[:6]] == [way.name for way in WAYS]
-    assert robots[6].way == robots[0].way
+    assert [robot.way.name for robot in robots] == [way.name for way in WAYS]
 
 
 def test_references_name_the_robots_own_objects(robots: list[CampaignRobot]) -> None:

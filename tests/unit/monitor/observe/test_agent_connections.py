@@ -7,6 +7,7 @@ import base64
 import contextlib
 from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -16,6 +17,7 @@ from understudy.api import names
 from understudy.api.protocol import agent_messages as wire
 from understudy.api.protocol.agent_messages import AgentStatus
 from understudy.failover.interfaces import Instance
+from understudy.kube.agent_client import AgentLink
 from understudy.kube.client import SECRETS, ApiError
 from understudy.monitor.observe import agent_connections as module
 from understudy.monitor.observe.agent_connections import AgentConnections
@@ -115,6 +117,26 @@ async def test_an_agent_is_found_again_if_its_pod_has_another_address_after_its_
     agents.follow([INSTANCE])
     await eventually(lambda: agents.status(INSTANCE) is not None)
     agents.follow([])
+
+
+async def test_a_connection_that_is_being_closed_when_it_is_made_is_not_configured(
+    agent: Agent, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its pod is gone, or has another address. The last report of the connection comes before its task has ended."""
+    reports: list[Callable[[], None]] = []
+
+    class Link(AgentLink):
+        def __init__(self, *arguments: Any, on_change: Callable[[AgentLink], None], **named: Any) -> None:
+            super().__init__(*arguments, on_change=on_change, **named)
+            reports.append(lambda: on_change(self))
+
+    monkeypatch.setattr(module, "AgentLink", Link)
+    client, agents = connections()
+    await keep(client, b"second")
+    agents.follow([INSTANCE])
+    await eventually(lambda: agents.status(INSTANCE) is not None)
+    agents.follow([])
+    reports[0]()
 
 
 async def test_a_secret_that_cannot_be_read_is_requested_again_after_a_pause(monkeypatch: pytest.MonkeyPatch) -> None:
