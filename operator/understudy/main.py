@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import gc
 import importlib
+import logging
 import os
 import sys
 from types import ModuleType
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 from understudy import __version__
 
@@ -92,7 +93,21 @@ def main() -> int:
         print(f"understudy: unknown verb {arguments[0]!r}{_suggestion(arguments[0])}", file=sys.stderr)
         return 2
     result: int = import_frozen(verb.module).main(arguments[1:])
+    if verb.in_pods:
+        _end(result)
     return result
+
+
+def _end(status: int) -> NoReturn:
+    """End the process at once, with all that was logged and printed.
+
+    Otherwise the interpreter waits for every thread, and then libraries free what the threads of the middleware may still use. A monitor that
+    wanted to start again hung there for minutes, and nobody watched its robot.
+    """
+    logging.shutdown()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(status)
 
 
 def import_frozen(module: str) -> ModuleType:

@@ -53,6 +53,23 @@ def test_the_version_is_printed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.
     assert capsys.readouterr().out == f"understudy {__version__}\n"
 
 
+def test_a_process_in_a_pod_ends_although_a_thread_never_does() -> None:
+    """As threads of the middleware may: the process of a monitor that had to start again hung until its node was restarted."""
+    code = (
+        "import sys, threading, types\n"
+        "from understudy import main\n"
+        "def run(arguments):\n"
+        "    threading.Thread(target=threading.Event().wait).start()\n"
+        "    print('last words', end='')\n"
+        "    return 75\n"
+        "sys.modules['understudy.monitor.process'] = types.SimpleNamespace(main=run)\n"
+        "sys.argv = ['understudy', 'monitor']\n"
+        "sys.exit(main.main())\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=20, check=False)
+    assert (done.returncode, done.stdout) == (75, "last words")
+
+
 def test_imported_modules_are_excluded_from_garbage_collection() -> None:
     code = (
         "import gc\n"

@@ -94,10 +94,10 @@ class TestWorkloads:
             assert mounts(containers["monitor"])["tasks"] == "/run/understudy"
             assert env(proxy, MIDDLEWARE.settings_variable) is None
             (port,) = (port["containerPort"] for port in proxy["ports"])
-            assert proxy["livenessProbe"]["httpGet"] == {"path": "/healthz", "port": port}
-            assert port not in [p["containerPort"] for p in containers["monitor"]["ports"]], (
-                "they share the pod's address"
-            )
+            (monitors,) = (port["containerPort"] for port in containers["monitor"]["ports"])
+            assert port != monitors, "they share the pod's address"
+            for one, its in ((proxy, port), (containers["monitor"], monitors)):
+                assert one["livenessProbe"]["httpGet"] == {"path": "/healthz", "port": its}, "it is restarted if it hangs"
 
     def test_the_pods_of_a_referenced_controller_have_no_proxy_and_the_problem_is_reported(self) -> None:
         reference = {"kind": "Deployment", "name": "arm"}

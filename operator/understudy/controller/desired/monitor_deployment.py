@@ -91,6 +91,7 @@ def deployment(
             "periodSeconds": 2,
             "timeoutSeconds": 2,
         },
+        "livenessProbe": _alive(names.METRICS_PORT, after=60),
         "resources": settings.resources or {"requests": dict(_REQUESTS)},
         "securityContext": HARDENED,
         "volumeMounts": [
@@ -157,17 +158,22 @@ def _tasks(
         "args": ["tasks"],
         "env": variables(fixed),
         "ports": [{"name": "tasks", "containerPort": names.TASKS_PORT, "protocol": "TCP"}],
-        # A restart loses no goal but takes seconds, so the proxy has a minute to answer on a busy node.
-        "livenessProbe": {
-            "httpGet": {"path": "/healthz", "port": names.TASKS_PORT},
-            "initialDelaySeconds": 10,
-            "periodSeconds": 10,
-            "timeoutSeconds": 5,
-            "failureThreshold": 6,
-        },
+        "livenessProbe": _alive(names.TASKS_PORT, after=10),
         "resources": {"requests": dict(_TASKS_REQUESTS)},
         "securityContext": HARDENED,
         "volumeMounts": [{"name": "state", "mountPath": STATE_DIR}, dict(_TASKS_MOUNT)],
+    }
+
+
+def _alive(port: int, *, after: int) -> Object:
+    """Return the liveness probe of a process that starts within ``after`` seconds also on a busy node. A restart takes seconds, in which nobody
+    watches the robot or serves its goals, so the process has a minute to answer."""
+    return {
+        "httpGet": {"path": "/healthz", "port": port},
+        "initialDelaySeconds": after,
+        "periodSeconds": 10,
+        "timeoutSeconds": 5,
+        "failureThreshold": 6,
     }
 
 
