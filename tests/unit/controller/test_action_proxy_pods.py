@@ -97,7 +97,9 @@ class TestWorkloads:
             (monitors,) = (port["containerPort"] for port in containers["monitor"]["ports"])
             assert port != monitors, "they share the pod's address"
             for one, its in ((proxy, port), (containers["monitor"], monitors)):
-                assert one["livenessProbe"]["httpGet"] == {"path": "/healthz", "port": its}, "it is restarted if it hangs"
+                assert one["livenessProbe"]["httpGet"] == {"path": "/healthz", "port": its}, (
+                    "it is restarted if it hangs"
+                )
 
     def test_the_pods_of_a_referenced_controller_have_no_proxy_and_the_problem_is_reported(self) -> None:
         reference = {"kind": "Deployment", "name": "arm"}
