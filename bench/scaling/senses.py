@@ -84,6 +84,9 @@ class HealthObserver:
     def discovered(self, instance: Instance) -> bool:
         return True
 
+    def others_discovered(self, instance: Instance) -> bool:
+        return True
+
     def expect_samples(self, *, since: float, heard_from: float) -> None:
         return
 
