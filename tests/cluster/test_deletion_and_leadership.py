@@ -97,10 +97,12 @@ def test_an_operator_that_loses_its_lease_starts_again_and_stands_by(fleet: Flee
     with process(fleet, "one", port) as one:
         until(lambda: leader(fleet) == "one" and ready(port), "a leader", seconds=60)
         lease = fleet.cluster.get("coordination.k8s.io/v1", "Lease", running.LEASE, fleet.namespace)
-        fleet.cluster.patch(lease, {"spec": {"holderIdentity": "thief", "leaseDurationSeconds": 20}})
+        fleet.cluster.patch(lease, {"spec": {"holderIdentity": "thief", "leaseDurationSeconds": 600}})
         until(lambda: not ready(port), "it to stop", seconds=20)
-        until(lambda: ready(port), "it to start again", seconds=15)
+        until(lambda: ready(port), "it to start again", seconds=60)
         assert leader(fleet) == "thief"
+        lease = fleet.cluster.get("coordination.k8s.io/v1", "Lease", running.LEASE, fleet.namespace)
+        fleet.cluster.patch(lease, {"spec": {"holderIdentity": ""}})
         until(lambda: leader(fleet) == "one", "it to lead again", seconds=60)
         assert one.poll() is None
 
