@@ -7,6 +7,7 @@ import importlib
 import logging
 import os
 import sys
+import traceback
 from types import ModuleType
 from typing import NamedTuple, NoReturn
 
@@ -92,22 +93,33 @@ def main() -> int:
     if verb is None:
         print(f"understudy: unknown verb {arguments[0]!r}{_suggestion(arguments[0])}", file=sys.stderr)
         return 2
-    result: int = import_frozen(verb.module).main(arguments[1:])
     if verb.in_pods:
-        _end(result)
+        _run_in_pod(verb, arguments[1:])
+    result: int = import_frozen(verb.module).main(arguments[1:])
     return result
+
+
+def _run_in_pod(verb: Verb, arguments: list[str]) -> NoReturn:
+    try:
+        status: int = import_frozen(verb.module).main(arguments)
+    except Exception:
+        traceback.print_exc()
+        status = 1
+    _end(status)
 
 
 def _end(status: int) -> NoReturn:
     """End the process at once, with all that was logged and printed.
 
-    Otherwise the interpreter waits for every thread, and then libraries free what the threads of the middleware may still use. A monitor that
-    wanted to start again hung there for minutes, and nobody watched its robot.
+    Otherwise the interpreter waits for every thread, and then libraries free what the threads of the middleware may still use. A
+    monitor that wanted to start again hung there for minutes, and nobody watched its robot.
     """
-    logging.shutdown()
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(status)
+    try:
+        logging.shutdown()
+        sys.stdout.flush()
+        sys.stderr.flush()
+    finally:
+        os._exit(status)
 
 
 def import_frozen(module: str) -> ModuleType:

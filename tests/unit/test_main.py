@@ -53,7 +53,8 @@ def test_the_version_is_printed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.
     assert capsys.readouterr().out == f"understudy {__version__}\n"
 
 
-def test_a_process_in_a_pod_ends_although_a_thread_never_does() -> None:
+@pytest.mark.parametrize(("end", "status"), [("return 75", 75), ("raise RuntimeError", 1)])
+def test_a_process_in_a_pod_ends_although_a_thread_never_does(end: str, status: int) -> None:
     """As threads of the middleware may: the process of a monitor that had to start again hung until its node was restarted."""
     code = (
         "import sys, threading, types\n"
@@ -61,13 +62,13 @@ def test_a_process_in_a_pod_ends_although_a_thread_never_does() -> None:
         "def run(arguments):\n"
         "    threading.Thread(target=threading.Event().wait).start()\n"
         "    print('last words', end='')\n"
-        "    return 75\n"
+        f"    {end}\n"
         "sys.modules['understudy.monitor.process'] = types.SimpleNamespace(main=run)\n"
         "sys.argv = ['understudy', 'monitor']\n"
         "sys.exit(main.main())\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=20, check=False)
-    assert (done.returncode, done.stdout) == (75, "last words")
+    assert (done.returncode, done.stdout) == (status, "last words")
 
 
 def test_imported_modules_are_excluded_from_garbage_collection() -> None:

@@ -43,6 +43,9 @@ STALL = 0.25
 """Seconds between two such checks that show that this process was stalled. What arrived meanwhile may not have been read yet: samples, and
 that another process has changed the gate."""
 
+STALLS = 5
+"""How often such a stall restarts the time in which the others must be silent. The recovery must end on any machine."""
+
 DELETED_WITHIN = 2.0
 """Seconds that the API server has to delete the pods that failed while another instance is to be verified."""
 
@@ -60,7 +63,7 @@ async def recover(progress: Progress, choices: Sequence[Choice], context: Strate
     if progress.result == "Recovered":
         await retire(progress, context)
         return progress
-    index = progress.index
+    index, resume_at = progress.index, 0
     while index < len(choices):
         choice = choices[index]
         progress.index, progress.strategy = index, choice.strategy.name
@@ -81,10 +84,10 @@ async def recover(progress: Progress, choices: Sequence[Choice], context: Strate
             break
         progress.fail_target()
         progress.forget_attempt()
-        if (back := _available_again(progress, choices[:index], context)) is not None:
-            index = back
-        elif result != "Overtaken":  # otherwise the standby is not ready any more, and this strategy had not failed
-            index += 1
+        # Strategies that failed already are not carried out again. A strategy that was overtaken had not failed.
+        resume_at = max(resume_at, index if result == "Overtaken" else index + 1)
+        back = _available_again(progress, choices[:index], context)
+        index = back if back is not None else resume_at
     else:
         progress.result, progress.strategy = "Failed", ""
     context.save(progress)
@@ -261,7 +264,7 @@ async def alone(target: Instance, progress: Progress, context: StrategyContext) 
     silent_by = listening_since + SILENT_WITHIN
     fenced = min(moments.get("fenced", moments.get("committing", progress.cursor)), listening_since)
     silence = min(context.outputs.period_of_others(target), PERIOD_MOST) + SILENCE_MARGIN
-    is_leaking = False
+    is_leaking, stalls = False, 0
     while True:
         last, pod = _last_sign(target, progress, context)
         if last > fenced:
@@ -281,8 +284,8 @@ async def alone(target: Instance, progress: Progress, context: StrategyContext) 
             raise StillDriven(f"{pod} still reaches the robot, although the gate does not let it through")
         checked_at = clock()
         await asyncio.sleep(min(left, SILENCE_CHECK_PERIOD))
-        if (apart := clock() - checked_at) >= STALL:
-            listening_since, silent_by = clock(), silent_by + apart
+        if (apart := clock() - checked_at) >= STALL and stalls < STALLS:
+            listening_since, silent_by, stalls = clock(), silent_by + apart, stalls + 1
     _assert_admitted(target.uid, target.name, context)
     moments["verified"] = clock()
 

@@ -8,6 +8,7 @@ failover: one persistent connection, one request, no conversion to models.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import math
 import os
@@ -163,7 +164,7 @@ EVICTION = "DeletionByTaintManager"
 PODS = Resource("", "v1", "pods")
 POD_METRICS = Resource("metrics.k8s.io", "v1beta1", "pods")
 _AGGREGATED = f"/apis/{POD_METRICS.group}/"
-"""Paths that another server answers, behind the API server. If that one does not know who asks, the API server does."""
+"""Paths that another server answers, behind the API server. Its answers and its silence say nothing about the API server."""
 SERVICES = Resource("", "v1", "services")
 CONFIG_MAPS = Resource("", "v1", "configmaps")
 SECRETS = Resource("", "v1", "secrets")
@@ -356,9 +357,9 @@ class Client:
         data: bytes | None = None,
     ) -> bytes:
         assert self._session is not None, "use the client as an asynchronous context manager"
-        status = None
+        status, is_aggregated = None, path.startswith(_AGGREGATED)
         try:
-            with self.contact.asking():
+            with contextlib.nullcontext() if is_aggregated else self.contact.asking():
                 async with self._session.request(
                     method,
                     self._access.server + path,
@@ -369,7 +370,7 @@ class Client:
                 ) as response:
                     text = await response.read()
                     status = response.status
-                if status == 401 and not path.startswith(_AGGREGATED):
+                if status == 401 and not is_aggregated:
                     # No usable answer: raised within the context, so that the time does not count as answered.
                     self._renew_token()
                     raise _error(status, text.decode(errors="replace"))

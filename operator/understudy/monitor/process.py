@@ -10,6 +10,7 @@ import os
 import signal
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from prometheus_client import REGISTRY, generate_latest
@@ -87,9 +88,13 @@ async def _run(workload: str, namespace: str, state: Path) -> None:
     running = asyncio.ensure_future(_protect(workload, namespace, state))
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, running.cancel)
-    with contextlib.suppress(asyncio.CancelledError):
-        await running
-    _logger.info("ended")
+    try:
+        with contextlib.suppress(asyncio.CancelledError):
+            await running
+        _logger.info("ended")
+    finally:
+        # asyncio.run waits for the threads of the default executor. One that writes to a volume that hangs does not end.
+        loop.set_default_executor(ThreadPoolExecutor())
 
 
 def _pod() -> PodIdentity | None:

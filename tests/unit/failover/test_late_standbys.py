@@ -15,6 +15,7 @@ from understudy.failover.protocol import recover
 from understudy.failover.strategies.base import StrategyContext
 from understudy.failover.strategies.executing import ExecutingFallback
 from understudy.failover.strategies.restart import Restart
+from understudy.failover.strategies.uninitialized import UninitializedFallback
 
 
 def starting() -> Store:
@@ -110,3 +111,18 @@ async def test_a_restart_that_fails_is_followed_by_a_standby_that_is_ready_by_th
         ("Restart", "NotVerified"),
         ("Fallback/Executing", "Verified"),
     ]
+
+
+async def test_a_strategy_that_failed_is_not_carried_out_again_after_a_late_standby_that_fails_too() -> None:
+    store = starting()
+    for name in ("s-1", "s-2"):
+        store.pods[name] = Instance(name, f"uid-{name}", pool="shared", running=True, ready=True, held=True)
+    store.broken |= {"s-1", "s-2", "w-2"}
+    world = World(store)
+    asyncio.get_running_loop().call_later(VERIFY_WITHIN / 2, become_ready, store)
+    strategies = (ExecutingFallback("hot"), UninitializedFallback("shared"), Restart())
+    done = await recover(failure(world), choices(*strategies), world.context())
+    assert [attempt.strategy for attempt in done.attempts] == [
+        "Fallback/Executing", "Fallback/Uninitialized", "Fallback/Executing", "Restart"
+    ]  # fmt: skip
+    assert len(store.claims) == 1

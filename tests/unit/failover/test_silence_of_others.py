@@ -181,3 +181,21 @@ async def test_a_monitor_that_continues_a_recovery_listens_to_the_others_itself(
     done = await recover(continued, choices(ExecutingFallback("hot"), Restart()), world.context())
     assert done.result == "Recovered"
     assert done.moments["verified"] >= began + 0.13 + SILENCE_MARGIN
+
+
+async def test_a_recovery_ends_although_the_monitor_is_stalled_again_and_again() -> None:
+    """As on a node without free processors. The others send at 1 Hz: there is no stall-free second in which they could be silent."""
+    store = protected(pool="hot")
+    world = World(store)
+    context = world.context()
+    context.outputs.period_of_others = lambda instance: 1.0  # type: ignore[method-assign]
+    loop = asyncio.get_running_loop()
+
+    def stall() -> None:
+        time.sleep(1.1 * STALL)
+        loop.call_later(0.05, stall)
+
+    loop.call_later(0.02, stall)
+    async with asyncio.timeout(30):
+        done = await recover(failure(world), choices(ExecutingFallback("hot"), Restart()), context)
+    assert done.result == "Recovered"

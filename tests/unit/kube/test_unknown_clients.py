@@ -109,3 +109,15 @@ async def test_an_aggregated_server_that_knows_no_client_is_no_outage_of_the_api
     with pytest.raises(ApiError, match="401"):
         await client.list(POD_METRICS, "fleet")
     assert client.contact.unanswered_since is None
+
+
+async def test_an_outage_is_not_over_because_the_metrics_server_was_asked(server: Server, client: Client) -> None:
+    """kube-apiserver itself answers 401 there too: it authenticates before it forwards."""
+    server.accepted = "nobody's"
+    with pytest.raises(ApiError, match="401"):
+        await client.get(PODS, "fleet", "w-1")
+    since = client.contact.unanswered_since
+    assert since is not None
+    with pytest.raises(ApiError, match="401"):
+        await client.list(POD_METRICS, "fleet")
+    assert client.contact.unanswered_since == since

@@ -166,8 +166,10 @@ def _tasks(
 
 
 def _alive(port: int, *, after: int) -> Object:
-    """Return the liveness probe of a process that starts within ``after`` seconds also on a busy node. A restart takes seconds, in which nobody
-    watches the robot or serves its goals, so the process has a minute to answer."""
+    """Return the liveness probe of a process that starts within ``after`` seconds also on a busy node.
+
+    A restart takes seconds, in which nobody watches the robot or serves its goals, so the process has a minute to answer.
+    """
     return {
         "httpGet": {"path": "/healthz", "port": port},
         "initialDelaySeconds": after,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -70,6 +71,8 @@ class FailureDetector:
         self._heard_from: float | None = None
         """From when on an instance that had driven before can be heard, by the process's clock as ``_since``; None for any other one."""
         self._expected_since = 0.0
+        self._is_presumed_lost = False
+        """Whether the instance is expected only because its node seems to be lost."""
 
     @property
     def since(self) -> float:
@@ -87,7 +90,7 @@ class FailureDetector:
 
     def _judge_since(self, since: float) -> None:
         self._watched = self._gate.state.active_uid
-        self._since, self._heard_from = since, None
+        self._since, self._heard_from, self._is_presumed_lost = since, None, False
 
     def lost(self, active: Instance | None, now: float) -> tuple[Failure | None, float | None] | None:
         """Return the failure if the active pod is lost, or when to check again. None if the pod is not lost. Needs no health tree.
@@ -120,6 +123,8 @@ class FailureDetector:
         # ``since`` can lie in the future if it comes from another node's clock: then no message would count until that time.
         self._since = min(self._since, CLOCK.now())
         since = self.since
+        if self._is_presumed_lost and self._agents.status(active) is not None:
+            self._presume_alive()
         self._expect_samples(since)
         verdict = self._observer.verdict(now=now, since=since)
         if verdict.state == "Starting":
@@ -149,11 +154,22 @@ class FailureDetector:
             return
         if self._driven_epoch != self._gate.state.epoch:
             self._driven_epoch = None  # the gate was opened for another instance since, which is new
-        elif self._observer.discovered(active) or (
-            not active.ready and self._agents.status(active) is None and self._observer.others_discovered(active)
-        ):
+        elif self._observer.discovered(active):
             self._driven_epoch, self._heard_from = None, CLOCK.of_system(now)
             self._expect_samples(since)
+        elif (
+            not self._is_presumed_lost
+            and not active.ready
+            and self._agents.status(active) is None
+            and self._observer.others_discovered(active)
+        ):
+            self._is_presumed_lost, self._heard_from = True, CLOCK.of_system(now)
+            self._expect_samples(since)
+
+    def _presume_alive(self) -> None:
+        """Give the instance the time to be discovered that it has if its node is not lost: its agent has answered."""
+        self._is_presumed_lost, self._heard_from, self._expected_since = False, None, 0.0
+        self._observer.expect_samples(since=math.nan, heard_from=math.inf)
 
     def _expect_samples(self, since: float) -> None:
         """Have the health tree expect the samples of an instance that had driven before and is discovered."""

@@ -27,13 +27,14 @@ def detector(
     observer: GivenObserver | None = None,
     driven_epoch: int | None = None,
     status: AgentStatus | None = None,
+    statuses: dict[str, AgentStatus] | None = None,
 ) -> FailureDetector:
     objects = ClusterObjects()
     objects.put_pods(*instances)
     objects.put_gate(GateState(epoch=3, active="w-1", active_uid="uid-1"))
     senses = GivenSenses(objects, observer)
     senses.observer.received_at = {"w-1": last_output} if last_output is not None else {}
-    senses.agents.statuses = {"uid-1": status} if status is not None else {}
+    senses.agents.statuses = statuses if statuses is not None else {"uid-1": status} if status is not None else {}
     return FailureDetector(objects.pods, objects.gate, senses.agents, senses.observer, driven_epoch)
 
 
@@ -139,13 +140,17 @@ def test_a_debounce_is_not_prolonged_by_a_clock_that_is_set_back() -> None:
 
 
 def judging_silence(
-    leaf: dict[str, str], *, driven_epoch: int | None, discovered: bool = True, status: AgentStatus | None = None
+    leaf: dict[str, str],
+    *,
+    driven_epoch: int | None,
+    discovered: bool = True,
+    statuses: dict[str, AgentStatus] | None = None,
 ) -> tuple[FailureDetector, Evaluating]:
     """A new monitor's detector at epoch 3 of the gate, whose policy has this leaf about /cmd_vel. Nothing is received."""
     monitoring = Monitoring.model_validate({"yaml": {"topic": {"name": "/cmd_vel", **leaf}}})
     observing = Evaluating(load_monitoring(monitoring), TopicRecord())
     observing.undiscovered = set() if discovered else {"uid-1"}
-    judging = detector(observer=observing, driven_epoch=driven_epoch, status=status)
+    judging = detector(observer=observing, driven_epoch=driven_epoch, statuses=statuses)
     observing.tree_begins(judging.since)
     return judging, observing
 
@@ -218,10 +223,22 @@ def test_a_monitor_that_has_discovered_nobody_does_not_believe_that_the_instance
 
 
 def test_an_instance_whose_agent_answers_is_not_on_a_lost_node() -> None:
-    status = AgentStatus("Running", ready_at=time.time() - 900, ready=True)
-    judging, _ = judging_silence({"gap": "500ms"}, driven_epoch=3, discovered=False, status=status)
+    statuses = {"uid-1": AgentStatus("Running", ready_at=time.time() - 900, ready=True)}
+    judging, _ = judging_silence({"gap": "500ms"}, driven_epoch=3, discovered=False, statuses=statuses)
     start, unready = judging.since, replace(ACTIVE, ready=False)
     assert judging.verdict(unready, start).state == "Starting"
+    assert judging.verdict(unready, start + 29.9).state == "Starting"
+    assert judging.verdict(unready, start + 30.1).state == "Failed"
+
+
+def test_an_instance_whose_agent_answers_a_moment_later_is_not_on_a_lost_node() -> None:
+    """The monitor discovers the robot before it is connected to the agent."""
+    statuses: dict[str, AgentStatus] = {}
+    judging, _ = judging_silence({"gap": "500ms"}, driven_epoch=3, discovered=False, statuses=statuses)
+    start, unready = judging.since, replace(ACTIVE, ready=False)
+    assert judging.verdict(unready, start).state == "Starting"
+    statuses["uid-1"] = AgentStatus("Running", ready_at=time.time() - 900, ready=True)
+    assert judging.verdict(unready, start + 5.1).state == "Starting"
     assert judging.verdict(unready, start + 29.9).state == "Starting"
     assert judging.verdict(unready, start + 30.1).state == "Failed"
 

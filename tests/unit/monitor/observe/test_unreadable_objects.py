@@ -46,7 +46,8 @@ def test_deeply_nested_values_leave_the_last_spec_and_policy_in_force(view: Clus
     assert view.policy is policy
 
 
-def test_settings_that_cannot_be_read_leave_the_last_ones_in_force(view: ClusterView) -> None:
+@pytest.mark.parametrize("rest", [{"data": {"settings.json": "[" * 5_000}}, {"data": {"other": ""}}, {"data": {}}, {}])
+def test_settings_that_cannot_be_read_leave_the_last_ones_in_force(view: ClusterView, rest: Object) -> None:
     settings = view.settings
-    change(view.settings_maps, {"metadata": {"name": names.settings("w")}, "data": {"settings.json": "[" * 5_000}})
+    change(view.settings_maps, {"metadata": {"name": names.settings("w")}, **rest})
     assert view.settings is settings

@@ -106,8 +106,8 @@ class GateControl:
     ) -> GateState:
         """Open the gate for one instance, or close it (None), at the next epoch. The record keeps the identities of leaking instances too.
 
-        Tries again until the API server answers, and until a gate that was deleted meanwhile exists again. Raises ApiError if the API server
-        refuses, and Superseded if this monitor knows no gate or another writer changed it: during this commit, since the last commit of this recovery, or for a pod that this recovery
+        Tries again until the API server answers. Raises ApiError if it refuses, and Superseded if the gate does not exist or
+        another writer changed it: during this commit, since the last commit of this recovery, or for a pod that this recovery
         is not about. Raises NoLongerNeeded if the instance that it would fence is healthy again, or was silent because somebody deleted
         the gate.
         """
@@ -145,8 +145,9 @@ class GateControl:
                     gate = await self._kind.write(self._client, self._view.namespace, workload, patch)
                 break
             except ApiError as error:
-                # If somebody has just deleted the gate, the operator makes it again.
-                if error.final and not error.conflict and not error.not_found:
+                if error.not_found:
+                    raise Superseded(f"{self._kind.object_kind} {names.gate(workload)} was deleted") from error
+                if error.final and not error.conflict:
                     raise
                 _logger.warning("could not commit to the gate, trying again: %s", error)
                 if is_away:  # it answers again, and soon does what it is asked for

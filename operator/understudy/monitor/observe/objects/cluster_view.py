@@ -207,7 +207,7 @@ class ClusterView:
             if item is not None:
                 try:
                     found = WorkloadSettings.model_validate_json(item["data"]["settings.json"])
-                except ValidationError as error:
+                except (ValidationError, KeyError) as error:
                     _logger.error(
                         "ConfigMap %s cannot be read, keeping the last settings: %s",
                         names.settings(self.workload),
