@@ -93,19 +93,16 @@ def main() -> int:
     if verb is None:
         print(f"understudy: unknown verb {arguments[0]!r}{_suggestion(arguments[0])}", file=sys.stderr)
         return 2
-    if verb.in_pods:
-        _run_in_pod(verb, arguments[1:])
-    result: int = import_frozen(verb.module).main(arguments[1:])
-    return result
-
-
-def _run_in_pod(verb: Verb, arguments: list[str]) -> NoReturn:
     try:
-        status: int = import_frozen(verb.module).main(arguments)
+        status: int = import_frozen(verb.module).main(arguments[1:])
     except Exception:
+        if not verb.in_pods:
+            raise
         traceback.print_exc()
         status = 1
-    _end(status)
+    if verb.in_pods:
+        _end(status)
+    return status
 
 
 def _end(status: int) -> NoReturn:

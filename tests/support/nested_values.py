@@ -12,6 +12,8 @@ from typing import Any
 
 from aiohttp import web
 
+from tests.support.http_server import serving
+
 DEPTHS = (150, 350, 700, 1_000, 1_500, 9_000)
 """Python's functions end at different depths: some at 250 levels, json at 1,000, and at more in later versions of Python."""
 
@@ -89,11 +91,5 @@ async def api_server(answers: Answers) -> AsyncIterator[str]:
     """Serve these answers, and yield the URL."""
     app = web.Application()
     app.router.add_route("*", "/{path:.*}", answers.answer)
-    runner = web.AppRunner(app, shutdown_timeout=0.1)
-    await runner.setup()
-    site = web.TCPSite(runner, "127.0.0.1", 0)
-    await site.start()
-    try:
-        yield f"http://127.0.0.1:{runner.addresses[0][1]}"
-    finally:
-        await runner.cleanup()
+    async with serving(app, shutdown_timeout=0.1) as url:
+        yield url

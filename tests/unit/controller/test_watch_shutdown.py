@@ -11,6 +11,7 @@ from typing import Any
 
 from aiohttp import web
 
+from tests.support.http_server import serving
 from understudy.controller.runtime import kopf_handlers
 from understudy.kube.client import Access
 
@@ -30,15 +31,11 @@ async def slow_api_server(asked: asyncio.Event) -> AsyncIterator[str]:
 
     app = web.Application()
     app.router.add_route("*", "/{path:.*}", begin)
-    runner = web.AppRunner(app)
-    await runner.setup()
-    site = web.TCPSite(runner, "127.0.0.1", 0)
-    await site.start()
-    try:
-        yield f"http://127.0.0.1:{runner.addresses[0][1]}"
-    finally:
-        over.set()
-        await runner.cleanup()
+    async with serving(app) as url:
+        try:
+            yield url
+        finally:
+            over.set()
 
 
 async def test_an_operator_that_stops_while_it_asks_for_the_kinds_leaves_no_traceback() -> None:

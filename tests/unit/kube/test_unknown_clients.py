@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from aiohttp import web
 
+from tests.support.http_server import serving
 from understudy.kube import api_contact, claims
 from understudy.kube.client import POD_METRICS, PODS, Access, ApiError, Client
 
@@ -45,12 +46,8 @@ async def server() -> AsyncIterator[Server]:
     app = web.Application()
     app.router.add_get("/api/v1/namespaces/fleet/pods/w-1", found.pod)
     app.router.add_get("/apis/metrics.k8s.io/v1beta1/namespaces/fleet/pods", found.metrics)
-    runner = web.AppRunner(app)
-    await runner.setup()
-    await web.TCPSite(runner, "127.0.0.1", 0).start()
-    found.address = f"http://127.0.0.1:{runner.addresses[0][1]}"
-    yield found
-    await runner.cleanup()
+    async with serving(app) as found.address:
+        yield found
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ from collections.abc import AsyncIterator
 import pytest
 from aiohttp import web
 
+from tests.support.http_server import serving
 from understudy.kube.client import PODS, Access, ApiError, Client
 from understudy.kube.warm_connections import keep_warm
 
@@ -46,12 +47,8 @@ async def server() -> AsyncIterator[Server]:
     app = web.Application()
     app.router.add_get("/api/v1/namespaces/fleet/pods", found.pods)
     app.router.add_get("/version", found.version)
-    runner = web.AppRunner(app, keepalive_timeout=IDLE)
-    await runner.setup()
-    await web.TCPSite(runner, "127.0.0.1", 0).start()
-    found.address = f"http://127.0.0.1:{runner.addresses[0][1]}"
-    yield found
-    await runner.cleanup()
+    async with serving(app, keepalive_timeout=IDLE) as found.address:
+        yield found
 
 
 @contextlib.asynccontextmanager
