@@ -25,7 +25,7 @@ from understudy.kube.gates.base import GateRecord
 from understudy.kube.gates.kinds.network_policy import GATE
 
 KNOWN = 70.0
-"""Seconds within which an operator knows of a pool's new size: two of its lists, and their longest waits."""
+"""Seconds within which an operator knows of a pool's new size, or of a pod that has gone: two of its lists, and their longest waits."""
 
 
 STALE = 3.0
@@ -49,6 +49,8 @@ class Invariants:
         """By pool, since when it was to have how many pods."""
         self._emptied: dict[str, float] = {}
         """By node, until when an operator may take it for one that is to be emptied."""
+        self._gone: list[tuple[float, Object]] = []
+        """When pods of the workloads' own controllers have gone: an operator may still see them."""
         self.failed: dict[str, float] = {}
         """Pods that failed for good while they were in control, and when."""
         self.commits = self.claims = self.creations = 0
@@ -70,6 +72,8 @@ class Invariants:
             self._owners(old, new)
             if old is None and new is not None and by.startswith("operator"):
                 self._created(new, by)
+            if old is not None and _labels(old).get(names.SOURCE) == "workload" and _deleted(old, new):
+                self._gone.append((self._robots.now, old))
             if by.startswith("monitor") and old is not None and _deleted(old, new):
                 self._ended_by_monitor(old, by)
             if by.startswith("operator") and old is not None and _claimed(old) and _deleted(old, new):
@@ -202,7 +206,7 @@ class Invariants:
             names.REPLACES in (pod["metadata"].get("annotations") or {})
             or any(
                 self._is_outdated(other) or (self._is_of(workload, other) and not self._stays(other))
-                for other in self._server.items["pods"].values()
+                for other in [*self._server.items["pods"].values(), *self._gone_of_late()]
             )
         ):
             most += 1  # one that is to go when there is another
@@ -210,6 +214,9 @@ class Invariants:
         if len(same) > most:
             whose = f"pool {pool}" + (f" has standbys of {workload}" if workload else " has free pods")
             self._broken(f"{whose}, {len(same)} of them instead of {most}: {', '.join(map(_name, same))}")
+
+    def _gone_of_late(self) -> list[Object]:
+        return [pod for when, pod in self._gone if self._robots.now - when < KNOWN]
 
     # -- whenever what reaches a robot changes ----------------------------------------------------------------------
 

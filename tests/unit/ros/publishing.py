@@ -1,4 +1,7 @@
-"""Publishes on /initialpose from this host, each time that a line comes, and says how that went: ``publishing.py SUBSCRIBERS``."""
+"""Publishes on /initialpose from this host, each time that a line comes, and says how that went: ``publishing.py SUBSCRIBERS KNOWN``.
+
+It starts when it has discovered that many subscribers, and, with KNOWN ``named``, the names of their nodes too.
+"""
 
 import asyncio
 import sys
@@ -9,12 +12,12 @@ from understudy.ros.dds.host_ids import HOST
 from understudy.ros.runtime.graph_node import Graph
 
 
-async def main(subscribers: int) -> None:
+async def main(subscribers: int, known: str) -> None:
     graph = Graph("own")
     while not (own := [e.gid[HOST] for e in graph.publishers("/parameter_events") if e.node == "/own"]):
         await asyncio.sleep(0.05)
-    while len(graph.node.get_subscriptions_info_by_topic("/initialpose")) < subscribers:
-        await asyncio.sleep(0.05)
+    while sum(bool(known != "named" or e.node) for e in graph.subscribers("/initialpose")) < subscribers:
+        await asyncio.sleep(0.001)
     print("all", flush=True)
     caller = InstanceCaller("caller", place=lambda: GraphLocation(graph.node.context, own[0]))
     while words := (await asyncio.to_thread(sys.stdin.readline)).split():
@@ -27,4 +30,4 @@ async def main(subscribers: int) -> None:
             print("failed", error, flush=True)
 
 
-asyncio.run(main(int(sys.argv[1])))
+asyncio.run(main(int(sys.argv[1]), sys.argv[2]))

@@ -304,7 +304,7 @@ rclpy.spin(node)
 class Instances:
     """The process that publishes to the instance of its host, that instance, and one of another host that no packet reaches."""
 
-    def __init__(self, running: Processes, lan: Network) -> None:
+    def __init__(self, running: Processes, lan: Network, known: str) -> None:
         environment = {
             "ROS_DOMAIN_ID": "62",
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
@@ -312,7 +312,7 @@ class Instances:
             "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
         }
         other, own = lan.host("10.62.0.2"), lan.host("10.62.0.3")
-        listen, publish = ["-c", LISTEN], [str(Path(__file__).parent / "publishing.py"), "2"]
+        listen, publish = ["-c", LISTEN], [str(Path(__file__).parent / "publishing.py"), "2", known]
         unreachable, self.instance, self._publisher = (
             running.start([*host, sys.executable, *command], **environment)
             for host, command in ((other, listen), (own, listen), (own, publish))
@@ -328,12 +328,12 @@ class Instances:
         return Processes.line(self._publisher, WITHIN + within)
 
 
-@pytest.fixture
-def instances() -> Iterator[Instances]:
+@pytest.fixture(params=["named"])
+def instances(request: pytest.FixtureRequest) -> Iterator[Instances]:
     running = Processes()
     with network() as lan:
         try:
-            yield Instances(running, lan)
+            yield Instances(running, lan, request.param)
         finally:
             running.end()
 
@@ -358,3 +358,15 @@ def test_a_message_counts_as_received_only_after_an_answer_of_its_subscriber_if_
     instances.instance.send_signal(signal.SIGCONT)
     assert instances.publish("late", WITHIN) == "published late"
     assert "late" in {Processes.line(instances.instance, WITHIN) for _ in range(2)}
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="network namespaces need root")
+@pytest.mark.parametrize("instances", ["discovered"], indirect=True)
+def test_a_message_to_a_subscriber_of_a_node_without_a_known_name_does_not_count_as_received(instances: Instances) -> None:
+    """Discovery finds a node's endpoints before its name, and a process may stop in between."""
+    instances.instance.send_signal(signal.SIGSTOP)
+
+    assert instances.publish("early", 3.0).startswith("failed a message was sent on /initialpose, and ")
+
+    instances.instance.send_signal(signal.SIGCONT)
+    assert instances.publish("late", WITHIN) == "published late"

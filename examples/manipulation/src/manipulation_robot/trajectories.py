@@ -69,11 +69,13 @@ class Trajectories:
         )
         self._executor = MultiThreadedExecutor(num_threads=3)
         self._executor.add_node(self._node)
-        threading.Thread(target=self._serve, daemon=True).start()
+        self._serving = threading.Thread(target=self._serve, daemon=True)
+        self._serving.start()
 
     def close(self) -> None:
         """Leave the graph."""
         self._executor.shutdown(timeout_sec=1)
+        self._serving.join(5.0)  # rclpy aborts a process that exits while one of its threads waits
         self._server.destroy()
         self._node.destroy_node()
 

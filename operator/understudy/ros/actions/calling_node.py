@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 MOST_CLIENTS = 64
 """Service clients kept for further calls; a new one costs a round of discovery."""
 
+ANNOUNCEMENTS = "ros_discovery_info"
+"""The topic on which each ROS participant announces which node has which endpoint; other participants have no nodes."""
+
 QUEUE = 100
 """Samples that may wait in a queue between two reads."""
 
@@ -88,10 +91,14 @@ class CallingNode:
         return any(e.topic_type == type_name and not self._here(e) for e in readers)
 
     def subscribers(self, topic: str, type_name: str) -> set[str]:
-        """Return the full names of the nodes here that subscribe to a topic."""
+        """Return the full names of the ROS nodes here that subscribe to a topic; empty for one that is not known yet."""
+        from understudy.ros.runtime.graph_node import node_name
+
+        announcements = self.node.get_publishers_info_by_topic(ANNOUNCEMENTS, no_mangle=True)
+        participants = {MIDDLEWARE.process_of(bytes(writer.endpoint_gid)) for writer in announcements}
         readers = self.node.get_subscriptions_info_by_topic(topic)
         here = [e for e in readers if e.topic_type == type_name and self._here(e)]
-        return {f"{e.node_namespace.rstrip('/')}/{e.node_name}" for e in here}
+        return {node_name(e) for e in here if MIDDLEWARE.process_of(bytes(e.endpoint_gid)) in participants}
 
     def published_types(self, topic: str) -> set[str]:
         """Return the types of a topic's publishers that are here."""

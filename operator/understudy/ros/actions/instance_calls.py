@@ -394,6 +394,8 @@ async def _answer(opened: CallingNode, bound: _CallProgress, topic: str, type_na
     def services() -> dict[str, str]:
         return {f"{node}/get_parameters": node for node in opened.subscribers(topic, type_name)}
 
+    bound.missing = f"a message was sent on {topic}, and a node that subscribes to it has not announced its name"
+    await _until(lambda: "" not in opened.subscribers(topic, type_name))
     with contextlib.suppress(TimeoutError):
         async with asyncio.timeout(OFFERED_WITHIN):
             await _until(lambda: all(map(opened.serves, services())))

@@ -168,12 +168,17 @@ def _never_called(message: object) -> None:
     """Satisfy rclpy, which requires a callback; the queue is drained instead."""
 
 
+def node_name(info: Any) -> str:
+    """Return the full name of an endpoint's node; empty until the node's own announcement has arrived."""
+    return f"{info.node_namespace.rstrip('/')}/{info.node_name}" if info.node_name != "_NODE_NAME_UNKNOWN_" else ""
+
+
 def _endpoints(infos: list[Any]) -> list[Endpoint]:
     return [
         Endpoint(
             info.topic_type,
             bytes(info.endpoint_gid)[:16],
-            f"{info.node_namespace.rstrip('/')}/{info.node_name}" if info.node_name != "_NODE_NAME_UNKNOWN_" else "",
+            node_name(info),
             info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
             and info.qos_profile.reliability == ReliabilityPolicy.RELIABLE,
         )
