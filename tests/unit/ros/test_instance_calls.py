@@ -362,7 +362,9 @@ def test_a_message_counts_as_received_only_after_an_answer_of_its_subscriber_if_
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="network namespaces need root")
 @pytest.mark.parametrize("instances", ["discovered"], indirect=True)
-def test_a_message_to_a_subscriber_of_a_node_without_a_known_name_does_not_count_as_received(instances: Instances) -> None:
+def test_a_message_to_a_subscriber_of_a_node_without_a_known_name_does_not_count_as_received(
+    instances: Instances,
+) -> None:
     """Discovery finds a node's endpoints before its name, and a process may stop in between."""
     instances.instance.send_signal(signal.SIGSTOP)
 
