@@ -184,7 +184,7 @@ class Faults:
     @contextlib.contextmanager
     def _loss(self, fault: Fault) -> Iterator[str]:
         pod = self._victim(fault)
-        inside = _inside(self._processes(pod)[0])
+        inside = within(self._processes(pod)[0])
         _run(inside, "nft", "-f", "-", given=LOSS.format(percent=fault.strength))
         try:
             yield pod.name
@@ -195,7 +195,7 @@ class Faults:
     def _delay(self, fault: Fault) -> Iterator[str]:
         # A slow link with a long queue: the kernel of a small machine has no netem.
         pod = self._victim(fault)
-        inside = _inside(self._processes(pod)[0])
+        inside = within(self._processes(pod)[0])
         queue = ["tbf", "rate", RATE, "burst", "4kb", "latency", f"{fault.strength}ms"]
         _run(inside, "tc", "qdisc", "replace", "dev", "eth0", "root", *queue)
         try:
@@ -212,7 +212,7 @@ class Faults:
         if not address:
             raise NotPossible(f"{robot} has no address now")
         arguments = [address, str(fault.strength), str(fault.seconds)]
-        inside = _inside(self._processes(pod)[0])
+        inside = within(self._processes(pod)[0])
         with subprocess.Popen([*inside, sys.executable, "-c", FLOOD, *arguments]):
             yield f"{pod.name} -> {address}"
 
@@ -367,7 +367,8 @@ def _as_owner(pid: int) -> list[str]:
     return ["setpriv", f"--reuid={owner.st_uid}", f"--regid={owner.st_gid}", "--clear-groups"]
 
 
-def _inside(pid: int) -> list[str]:
+def within(pid: int) -> list[str]:
+    """Return the prefix of a command that runs in the network namespace of a process."""
     return ["nsenter", f"--net=/proc/{pid}/ns/net"]
 
 

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from bench.chaos import plan
+from bench.chaos import discovery, plan
 from bench.chaos.apply import Faults
 from bench.chaos.judge import Injected, Judgement, Seen, judge
 from bench.chaos.report import Aftermath, kinds_table, summarize
@@ -55,6 +55,11 @@ def run(kubeconfig: Path, namespace: str, options: argparse.Namespace) -> int:
             before = witness.memory()
             injected = _make(faults, Faults(kubectl, robots, witness))
             aftermath = _settle(robots, witness, before)
+            if ill := [
+                robot for robot in robots if any(why.startswith(f"{robot.workload}:") for why in aftermath.unwell)
+            ]:
+                parts = [pod for pod in witness.pods() if pod.name.startswith(tuple(robot.workload for robot in ill))]
+                discovery.keep(kubectl, parts, folder)
             judgements = [_judge(robot, witness, injected, begun, folder) for robot in robots]
     finally:
         _whole(kubectl)
