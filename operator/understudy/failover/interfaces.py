@@ -40,7 +40,7 @@ class Superseded(Exception):
 
 
 class NoLongerNeeded(Exception):
-    """The failed instance is healthy again, and the recovery has changed nothing yet."""
+    """The instance that a commit would fence is healthy: the one that failed, or one that took longer than its strategy's time."""
 
 
 class ClaimLost(Exception):

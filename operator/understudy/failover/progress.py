@@ -74,6 +74,8 @@ class Progress(Model):
     """Its place in the queue for a pod of a shared pool, while it waits. Other workloads read it next to the gate."""
     healthy_again: bool = Field(default=False, exclude=True)
     """Whether the instance whose failure began the recovery is healthy by what was received since then. Counts until the first commit."""
+    drives_late: PodIdentity | None = Field(default=None, exclude=True)
+    """An instance that drives by now, and did not within the time of its strategy. Counts while the gate admits it."""
     judged_at: float = Field(default=0.0, exclude=True)
     """When that was judged last, by the event loop's clock; 0 if it never was."""
 
@@ -185,6 +187,12 @@ class Progress(Model):
         self.moments = {name: time for name, time in self.moments.items() if name in _OF_THE_FAILURE}
         self.state, self.given_restarts = [], None
         self.waiting = None
+
+    def resume(self, attempt: Progress) -> None:
+        """Continue an attempt that was given up, from the progress that it had made."""
+        self.failed, self.target = list(attempt.failed), attempt.target
+        self.index, self.strategy, self.moments = attempt.index, attempt.strategy, dict(attempt.moments)
+        self.state, self.given_restarts = list(attempt.state), attempt.given_restarts
 
     def note_state(self, report: RestoreReport) -> None:
         """Record which state was restored to the instance that takes over, and which was not. The last attempt counts."""

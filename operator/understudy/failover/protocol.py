@@ -8,11 +8,20 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Coroutine, Sequence
+from dataclasses import dataclass
 from typing import Literal, TypeVar
 
 from understudy.api.kinds.robot_workload import Attempt
-from understudy.failover.interfaces import ClaimsLost, Instance, NotAvailable, NotVerified, StillDriven, Superseded
-from understudy.failover.progress import Progress
+from understudy.failover.interfaces import (
+    ClaimsLost,
+    Instance,
+    NoLongerNeeded,
+    NotAvailable,
+    NotVerified,
+    StillDriven,
+    Superseded,
+)
+from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.strategies.base import Choice, StrategyContext
 from understudy.failover.strategies.steps import answered_time
 
@@ -63,6 +72,17 @@ async def recover(progress: Progress, choices: Sequence[Choice], context: Strate
     if progress.result == "Recovered":
         await retire(progress, context)
         return progress
+    slow = SlowInstance(progress, context)
+    try:
+        await _try_in_order(progress, choices, context, slow)
+    finally:
+        slow.forget()
+    return progress
+
+
+async def _try_in_order(
+    progress: Progress, choices: Sequence[Choice], context: StrategyContext, slow: SlowInstance
+) -> None:
     index, resume_at = progress.index, 0
     while index < len(choices):
         choice = choices[index]
@@ -72,8 +92,13 @@ async def recover(progress: Progress, choices: Sequence[Choice], context: Strate
         if progress.attempts:
             context.save(progress)  # otherwise nothing was done yet, and the first commit must not wait
         result, message = await _attempt(progress, choices[: index + 1], context, last=index == len(choices) - 1)
+        if result == "NoLongerNeeded" and slow.attempt is not None:
+            _logger.info("strategy %s: %s", choice.strategy.name, message)
+            index = slow.attempt.index
+            await slow.resume()
+            continue
         pod = progress.target.name if progress.target else ""
-        listed: Verdict = "NotVerified" if result == "StillDriven" or result == "Overtaken" else result
+        listed: Verdict = result if result in ("Verified", "NotAvailable") else "NotVerified"
         progress.attempts.append(Attempt(strategy=choice.strategy.name, pod=pod, result=listed, message=message))
         _logger.info("strategy %s with %s: %s %s", choice.strategy.name, pod or "no pod", result, message)
         if result == "Verified":
@@ -82,6 +107,8 @@ async def recover(progress: Progress, choices: Sequence[Choice], context: Strate
         if result == "StillDriven":  # neither the fault of this instance, nor would another one help
             progress.result, progress.strategy = "Failed", ""
             break
+        if result == "TooSlow":
+            slow.listen(index)
         progress.fail_target()
         progress.forget_attempt()
         # Strategies that failed already are not carried out again. A strategy that was overtaken had not failed.
@@ -93,10 +120,56 @@ async def recover(progress: Progress, choices: Sequence[Choice], context: Strate
     context.save(progress)
     if progress.result == "Recovered":
         await retire(progress, context)
-    return progress
 
 
 Verdict = Literal["Verified", "NotVerified", "NotAvailable"]
+
+
+@dataclass(frozen=True)
+class _SlowAttempt:
+    index: int
+    instance: Instance
+    progress: Progress
+    """The recovery as it was at the end of the attempt."""
+
+
+class SlowInstance:
+    """An instance that did not drive within the time of its strategy, and that the gate admits until the next commit is answered.
+
+    If it drives by then, fencing it would stop a robot that is driven.
+    """
+
+    def __init__(self, progress: Progress, context: StrategyContext) -> None:
+        self._progress, self._context = progress, context
+        self.attempt: _SlowAttempt | None = None
+        self._listening: asyncio.Task[None] | None = None
+
+    def listen(self, index: int) -> None:
+        """Listen to the target of the strategy of this index, if the gate admits it."""
+        self.forget()
+        target = self._progress.target
+        instance = self._context.instances.find(target.uid) if target is not None else None
+        if instance is not None and self._context.gate.state.active_uid == instance.uid:
+            self.attempt = _SlowAttempt(index, instance, self._progress.model_copy(deep=True))
+            self._listening = asyncio.create_task(self._hear(instance))
+
+    async def _hear(self, instance: Instance) -> None:
+        if await self._context.outputs.first_from(instance, since=self._context.clock()) is not None:
+            self._progress.drives_late = PodIdentity(name=instance.name, uid=instance.uid)
+
+    async def resume(self) -> None:
+        """Continue the attempt. The commit ends those that the API server received and did not answer. Raises what a commit raises."""
+        assert self.attempt is not None
+        attempt, progress = self.attempt, self._progress
+        self.forget()
+        progress.resume(attempt.progress)
+        await self._context.gate.commit(attempt.instance, progress)
+
+    def forget(self) -> None:
+        """Listen to none any more."""
+        if self._listening is not None:
+            self._listening.cancel()
+        self.attempt, self._listening, self._progress.drives_late = None, None, None
 
 
 class _Overtaken(Exception):
@@ -118,7 +191,7 @@ def _available_again(progress: Progress, choices: Sequence[Choice], context: Str
 
 async def _attempt(
     progress: Progress, choices: Sequence[Choice], context: StrategyContext, *, last: bool
-) -> tuple[Verdict | Literal["StillDriven", "Overtaken"], str]:
+) -> tuple[Verdict | Literal["StillDriven", "Overtaken", "TooSlow", "NoLongerNeeded"], str]:
     """Try the last of these strategies, of which the others were tried before."""
     *before, choice = choices
     is_resumed = progress.target is not None or progress.waiting is not None  # by an earlier monitor
@@ -134,8 +207,12 @@ async def _attempt(
         return "StillDriven", str(reason)
     except _Overtaken as reason:
         return "Overtaken", str(reason)
+    except NoLongerNeeded as reason:
+        if progress.drives_late is None:
+            raise
+        return "NoLongerNeeded", str(reason)
     except TimeoutError:
-        return "NotVerified", f"the strategy was not verified within {choice.verify_within:g} s: {_missing(progress)}"
+        return "TooSlow", f"the strategy was not verified within {choice.verify_within:g} s: {_missing(progress)}"
     progress.epoch = context.gate.state.epoch
     return "Verified", ""
 

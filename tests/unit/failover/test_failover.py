@@ -95,6 +95,20 @@ async def test_a_standby_that_is_not_verified_is_deleted_and_the_next_strategy_i
     assert {"w-1", "w-2"} <= set(store.deleted)
 
 
+async def test_an_instance_that_drives_later_than_its_strategy_allows_is_kept_if_it_could_not_be_fenced() -> None:
+    store = protected(pool="hot")
+    store.broken.add("w-2")
+    world, running = World(store), asyncio.get_running_loop()
+    store.unasked = True
+    running.call_later(0.5 * VERIFY_WITHIN, setattr, store, "away", True)
+    running.call_later(4 * VERIFY_WITHIN, store.broken.clear)
+    running.call_later(6 * VERIFY_WITHIN, setattr, store, "away", False)
+    done = await recover(failure(world), choices(ExecutingFallback("hot"), Restart()), world.context())
+    assert (done.result, done.strategy, done.to_recovery(1).to_pod) == ("Recovered", "Fallback/Executing", "w-2")
+    assert [(attempt.pod, attempt.result) for attempt in done.attempts] == [("w-2", "NotVerified"), ("w-2", "Verified")]
+    assert (store.commits, store.deleted) == (["w-2", "w-2"], ["w-1"])
+
+
 async def test_the_gate_records_the_strategy_that_is_being_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     store = protected(pool="hot")
     store.broken.add("w-2")

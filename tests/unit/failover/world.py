@@ -11,7 +11,15 @@ from dataclasses import dataclass, field, replace
 
 from understudy.api.protocol.kept_state import KeptState, Restored, RestoreReport
 from understudy.failover.bring_up import BringUp
-from understudy.failover.interfaces import ClaimLost, GateState, Instance, NotAvailable, NotVerified, Superseded
+from understudy.failover.interfaces import (
+    ClaimLost,
+    GateState,
+    Instance,
+    NoLongerNeeded,
+    NotAvailable,
+    NotVerified,
+    Superseded,
+)
 from understudy.failover.pool_queue import Waiter
 from understudy.failover.progress import Progress
 from understudy.failover.strategies.base import StrategyContext
@@ -76,6 +84,8 @@ class Store:
     """Whether understudies are prepared while another instance drives, as in a planned switchover."""
     away: bool = False
     """Whether the API server does not answer."""
+    unasked: bool = False
+    """Whether nothing was asked of it since, so that nobody knows."""
     kept: KeptState = field(default_factory=KeptState)
     """What was kept of the instance that failed."""
     kept_states: dict[str, KeptState] = field(default_factory=dict)
@@ -181,7 +191,11 @@ class _Gate(_Part):
     async def commit(self, target: Instance | None, progress: Progress | None) -> GateState:
         self.world.effect()
         while self.store.away:
+            self.store.unasked = False
             await asyncio.sleep(PERIOD)
+            late = progress.drives_late if progress is not None else None
+            if late is not None and self.store.gate.active_uid == late.uid:
+                raise NoLongerNeeded("it drives by now")
         if self.store.gate.epoch != self._cached_gate.epoch:
             raise Superseded("another monitor was first")
         self.store.gate = GateState(
@@ -201,7 +215,7 @@ class _Gate(_Part):
 
     @property
     def unanswered_since(self) -> float | None:
-        return self.world.start_time if self.store.away else None
+        return self.world.start_time if self.store.away and not self.store.unasked else None
 
     def last_packet(self, uid: str) -> float | None:
         leak = self.store.probes_through.get(uid)

@@ -6,6 +6,7 @@ import asyncio
 from pathlib import Path
 from typing import Any
 
+import aiohttp
 import pytest
 
 from tests.unit.kube.memory import MemoryClient
@@ -268,6 +269,18 @@ async def test_an_instance_whose_gate_somebody_has_deleted_is_not_fenced_for_its
     with pytest.raises(NoLongerNeeded, match="somebody deleted the gate"):
         await gate.commit(STANDBY, recovery())
     assert (gate.state.closed, gate.state.epoch) == (True, 4)
+
+
+async def test_an_instance_that_drives_late_is_not_fenced_before_a_commit_is_answered(
+    client: MemoryClient, found: ClusterView, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gate_control, "RETRY_FIRST", 0.02)
+    gate, progress = await open_gate(client, found, tmp_path, FAILED), recovery()
+    client.failing = lambda method, name: aiohttp.ClientConnectionError("unreachable") if method == "PATCH" else None
+    asyncio.get_running_loop().call_later(0.1, setattr, progress, "drives_late", progress.failed[0])
+    with pytest.raises(NoLongerNeeded, match="drives by now"):
+        await gate.commit(None, progress)
+    assert not gate.state.closed
 
 
 async def test_a_commit_is_superseded_if_somebody_has_just_deleted_the_gate(

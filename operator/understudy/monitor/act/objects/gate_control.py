@@ -235,8 +235,12 @@ class GateControl:
         return pinned.write(pods) if pods else ""
 
     def _still_needed(self, record: GateRecord, progress: Progress | None) -> None:
-        """Raise NoLongerNeeded if a recovery would begin by fencing an instance that is healthy again."""
-        if progress is not None and progress.healthy_again and self._fences_first(record, progress):
+        """Raise NoLongerNeeded if a recovery would begin by fencing an instance that is healthy again, or fence one that drives late."""
+        if progress is None:
+            return
+        if (late := progress.drives_late) is not None and record.active_uid == late.uid:
+            raise NoLongerNeeded(f"{late.name} drives by now, and was not fenced yet")
+        if progress.healthy_again and self._fences_first(record, progress):
             raise NoLongerNeeded(f"{record.active} has been healthy again since the API server could not be reached")
 
     def would_fence(self, progress: Progress) -> bool:
