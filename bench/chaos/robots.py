@@ -149,7 +149,7 @@ class CampaignRobot(Robot):
                 record = json.loads(line)
                 if record["event"] == "ended":
                     found[record["goal"]] = record["status"]
-                elif record["accepted"]:
+                elif record["event"] == "answered" and record["accepted"]:
                     found[record["goal"]] = ""
         return found
 

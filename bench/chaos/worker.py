@@ -28,6 +28,9 @@ PERIOD = 0.05
 STEP = 0.25
 """Seconds of one step of a goal."""
 
+ANSWERED_WITHIN = 20.0
+"""Seconds after which the client sends a request again, as clients must: one that is sent when its server has just ended is lost."""
+
 STATUSES = {4: "succeeded", 5: "canceled", 6: "aborted"}
 
 
@@ -100,16 +103,22 @@ def client(order: int) -> None:
     while True:
         actions.wait_for_server()
         sent = actions.send_goal_async(Fibonacci.Goal(order=order))
-        rclpy.spin_until_future_complete(node, sent)
+        rclpy.spin_until_future_complete(node, sent, timeout_sec=ANSWERED_WITHIN)
+        if not sent.done():
+            say(event="unanswered")
+            continue
         handle = sent.result()
         goal = bytes(handle.goal_id.uuid).hex()
         say(event="answered", goal=goal, accepted=handle.accepted)
         if not handle.accepted:
             time.sleep(1.0)
             continue
-        result = handle.get_result_async()
-        rclpy.spin_until_future_complete(node, result)
-        status = result.result().status
+        asked = [handle.get_result_async()]
+        while not (done := [one for one in asked if one.done()]):
+            rclpy.spin_until_future_complete(node, asked[-1], timeout_sec=order * STEP + ANSWERED_WITHIN)
+            if not any(one.done() for one in asked):
+                asked.append(handle.get_result_async())
+        status = done[0].result().status
         say(event="ended", goal=goal, status=STATUSES.get(status, str(status)))
 
 

@@ -283,6 +283,25 @@ async def test_an_instance_that_drives_late_is_not_fenced_before_a_commit_is_ans
     assert not gate.state.closed
 
 
+async def test_a_commit_without_an_answer_is_known_before_an_instance_that_drives_late_is_kept(
+    client: MemoryClient, found: ClusterView, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gate_control, "RETRY_FIRST", 0.02)
+    gate, progress, running = await open_gate(client, found, tmp_path, FAILED), recovery(), asyncio.get_running_loop()
+    write = client.patch
+
+    async def carried_out(*arguments: Any, **options: Any) -> Object:
+        await write(*arguments, **options)
+        client.failing = lambda method, name: aiohttp.ClientConnectionError("unreachable")
+        progress.drives_late = progress.failed[0]
+        running.call_later(0.2, setattr, client, "failing", lambda method, name: None)
+        raise aiohttp.ClientConnectionError("the answer is lost")
+
+    monkeypatch.setattr(client, "patch", carried_out)
+    await gate.commit(None, progress)
+    assert gate.state.closed
+
+
 async def test_a_commit_is_superseded_if_somebody_has_just_deleted_the_gate(
     client: MemoryClient, found: ClusterView, tmp_path: Path
 ) -> None:

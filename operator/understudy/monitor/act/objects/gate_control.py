@@ -160,6 +160,11 @@ class GateControl:
                 await asyncio.sleep(retry)
                 retry = min(2 * retry, RETRY_MOST)
             read = await self._reread(previous, uid, recovery)
+            while read is None and _admits_late(
+                record, progress
+            ):  # the commit may have been carried out: first it is known
+                await asyncio.sleep(retry)
+                read = await self._reread(previous, uid, recovery)
             is_new = read is not None and read.epoch == previous.epoch and not read.active
             if is_new and progress is not None and self._fences_first(previous, progress):
                 raise NoLongerNeeded(f"somebody deleted the gate, and {previous.active} could not reach the robot then")
@@ -236,11 +241,9 @@ class GateControl:
 
     def _still_needed(self, record: GateRecord, progress: Progress | None) -> None:
         """Raise NoLongerNeeded if a recovery would begin by fencing an instance that is healthy again, or fence one that drives late."""
-        if progress is None:
-            return
-        if (late := progress.drives_late) is not None and record.active_uid == late.uid:
-            raise NoLongerNeeded(f"{late.name} drives by now, and was not fenced yet")
-        if progress.healthy_again and self._fences_first(record, progress):
+        if _admits_late(record, progress):
+            raise NoLongerNeeded(f"{record.active} drives by now, and was not fenced yet")
+        if progress is not None and progress.healthy_again and self._fences_first(record, progress):
             raise NoLongerNeeded(f"{record.active} has been healthy again since the API server could not be reached")
 
     def would_fence(self, progress: Progress) -> bool:
@@ -394,6 +397,12 @@ class GateControl:
         """Return when a packet of a pod last passed the gate; None if none did."""
         last = self._probes.last(uid)
         return CLOCK.of_system(last) if last is not None else None
+
+
+def _admits_late(record: GateRecord, progress: Progress | None) -> bool:
+    """Whether a gate admits an instance that drives, although it did not within the time of its strategy."""
+    late = progress.drives_late if progress is not None else None
+    return late is not None and record.active_uid == late.uid
 
 
 async def _judged_again(progress: Progress) -> None:
