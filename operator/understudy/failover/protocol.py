@@ -249,6 +249,7 @@ async def _unless_overtaken(
     working = asyncio.create_task(work)
     try:
         while not (await asyncio.wait((working,), timeout=LOST_CHECK_PERIOD))[0]:
+            context.agents.follow(context.instances.of_workload())  # also those that appear while it waits
             if progress.target is not None or not context.gate.state.closed:
                 continue
             if (back := _available_again(progress, before, context)) is not None:

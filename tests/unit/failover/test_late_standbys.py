@@ -53,6 +53,7 @@ async def test_a_standby_that_becomes_ready_takes_over_while_no_new_pod_exists(m
     ]
     assert store.commits == ["", "w-2"]
     assert not done.has_failed("uid-w-2")
+    assert "w-2" in store.followed, "its agent may know sooner than Kubernetes that it is ready"
 
 
 async def test_the_monitor_that_continues_a_restart_takes_a_standby_that_became_ready_meanwhile(

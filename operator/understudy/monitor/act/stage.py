@@ -51,7 +51,7 @@ class ActStage:
         self.switchovers = PlannedSwitchovers(cluster, options, state_manager, current, self.garbage, notices)
         self.reflexes = ReflexGuard(cluster, senses, takeover, notices)
         self.start = RecoveryStart(cluster, self.switchovers, self.garbage, limits.retries, takeover)
-        self.opening = GateOpening(cluster.pods, cluster.gate, notices)
+        self.opening = GateOpening(cluster.pods, cluster.gate, options, state_manager, notices)
         self.strays = StrayPods(cluster.view)
         self.leaks = LeakResponse(cluster.pods, self.strays, cluster.gate, decide.sole_driver, notices)
         self.deferral = DeferredRecovery(cluster, limits, current, journal, notices)

@@ -41,18 +41,23 @@ class InitialActivation:
     def __init__(self, fleet: Instances, agents: AgentConnections) -> None:
         self._fleet, self._agents = fleet, agents
         self._started = time.time()
+        self._first_seen: dict[str, float] = {}
+        """When each running pod was first seen to run, by its UID (Unix seconds)."""
 
     def candidates(self, policy: FailurePolicySpec, now: float, *, paused: bool, rightful: str = "") -> Candidates:
         """Return the pods that the gate may open for at a time (Unix seconds).
 
         For half of the policy's startupGrace, only ready pods of the workload's own controller count. After that, standbys count too,
-        and if no pod is ready, running pods: an application may need an answer of the robot before it publishes its outputs.
+        and if no pod is ready, pods that have run for as long: an application may need an answer of the robot before it publishes its
+        outputs.
         ``rightful`` is the UID of the instance for which the gate was closed because of a leak; it counts at once.
         """
         running = [i for i in self._fleet.of_workload() if i.usable and not i.held]
         ready = [i for i in running if not i.has_agent or self._agents.is_ready(i)[0]]
         if running and not paused:
             self._started = min(self._started, now)  # the clock may have been set back
-        if now - self._started <= seconds(policy.monitoring.startup_grace) / 2:
+        self._first_seen = {i.uid: min(self._first_seen.get(i.uid, now), now) for i in running}
+        grace = seconds(policy.monitoring.startup_grace) / 2
+        if now - self._started <= grace:
             return Candidates(running, [i for i in ready if i.from_source or i.uid == rightful], rightful)
-        return Candidates(running, ready or running, rightful)
+        return Candidates(running, ready or [i for i in running if now - self._first_seen[i.uid] > grace], rightful)

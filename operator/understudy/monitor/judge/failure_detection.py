@@ -127,6 +127,14 @@ class FailureDetector:
             self._presume_alive()
         self._expect_samples(since)
         verdict = self._observer.verdict(now=now, since=since)
+        if (
+            verdict.state == "Failed"
+            and verdict.onset is None
+            and self._heard_from is not None
+            and self._is_ready(active)
+        ):
+            self._doubt()
+            verdict = self._observer.verdict(now=now, since=since)
         if verdict.state == "Starting":
             self._look_for(active, now, since)
         last_well = self._observer.last_well(active.name)
@@ -170,6 +178,18 @@ class FailureDetector:
         """Give the instance the time to be discovered that it has if its node is not lost: its agent has answered."""
         self._is_presumed_lost, self._heard_from, self._expected_since = False, None, 0.0
         self._observer.expect_samples(since=math.nan, heard_from=math.inf)
+
+    def _is_ready(self, active: Instance) -> bool:
+        status = self._agents.status(active)
+        return status is not None and status.ready
+
+    def _doubt(self) -> None:
+        """Look for the instance again, within the startup grace: its agent receives what this new monitor never did.
+
+        Discovery may have informed only one of the two sides, as while two discovery servers run, or on a link that loses packets.
+        """
+        self._presume_alive()
+        self._driven_epoch = self._gate.state.epoch
 
     def _expect_samples(self, since: float) -> None:
         """Have the health tree expect the samples of an instance that had driven before and is discovered."""

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from tests.unit.failover.world import Store, World
 from tests.unit.monitor.cluster_objects import NAMESPACE
 from tests.unit.monitor.monitors import GivenMonitor
+from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.pause_spec import Pause
+from understudy.api.protocol.kept_state import KeptSample, KeptState
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.pinned import PinnedPod
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import REPLICA_SETS, ApiError
-from understudy.monitor.act.gate.gate_opening import ASK_AGAIN, GateOpening
+from understudy.monitor.act.gate.gate_opening import ASK_AGAIN
+from understudy.monitor.decide.initial_activation import InitialActivation
 
 ACTIVE = Instance(name="w-1", uid="uid-1", ip="10.0.0.1", running=True, ready=True)
 POLICY = FailurePolicySpec.model_validate(
@@ -33,7 +38,7 @@ class Closed:
         self, folder: Path, *instances: Instance, left: Progress | None = None, paused: Pause | None = None
     ) -> None:
         monitor = GivenMonitor(folder)
-        self.objects, self._loop = monitor.objects, monitor.loop
+        self.objects, self._loop, self.options = monitor.objects, monitor.loop, monitor.loop.decide.options
         self.objects.put_workload(pause=paused.to_wire() if paused is not None else None)
         self.objects.put_policy(POLICY)
         self.objects.put_settings()
@@ -45,6 +50,9 @@ class Closed:
     def requested(self) -> int:
         """How often a pod was requested of the workload's own controller."""
         return sum((method, name) == ("PATCH", "w") for method, name, _ in self.objects.client.requests)
+
+    async def open(self) -> None:
+        await self._loop.act.opening.open(ACTIVE)
 
     async def look(self, now: float) -> bool:
         """Look once; whether the gate was opened."""
@@ -86,14 +94,67 @@ async def test_opening_the_gate_after_a_failed_recovery_keeps_the_list_of_failed
 
 async def test_opening_the_gate_for_another_instance_counts_the_last_driver_as_failed(tmp_path: Path) -> None:
     # It may have failed just before the gate closed for a leak, when nobody had noticed that yet.
-    objects = GivenMonitor(tmp_path).objects
+    monitor = GivenMonitor(tmp_path)
+    objects = monitor.objects
     left = Progress.begin("it ended", last_healthy=0.0, detected=0.0, failed=[PodIdentity(name="w-0", uid="uid-0")])
     pinned = tuple(PinnedPod(name=f"w-{number}", uid=f"uid-{number}", ip=f"10.0.0.{number}") for number in (3, 0))
     objects.put_gate(GateState(epoch=4, recovery=left, pinned=pinned))
-    await GateOpening(objects.pods, objects.gate, objects.notices).open(ACTIVE)
+    await monitor.loop.act.opening.open(ACTIVE)
     ((target, progress),) = objects.commits
     assert progress is not None
     assert (target, [pod.name for pod in progress.failed]) == ("w-1", ["w-0", "w-3"])
+
+
+KEPT = KeptState(
+    samples=(KeptSample(topic="/progress", type="std_msgs/msg/Int64", to="/resume", taken_at=1.0, data=b""),)
+)
+
+
+@pytest.mark.parametrize(("last_driver", "is_given"), [("w-0", True), ("w-1", False)])
+async def test_an_instance_is_given_the_kept_state_before_the_gate_opens_after_a_failed_recovery(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, last_driver: str, is_given: bool
+) -> None:
+    left = Progress.begin("it ended", last_healthy=7.0, detected=8.0, failed=[PodIdentity(name="w-0", uid="uid-0")])
+    closed = Closed(tmp_path, ACTIVE, left=left)
+    closed.objects.notices.record(left.model_copy(update={"result": "Failed"}))
+    uid = last_driver.replace("w", "uid")
+    pinned = (PinnedPod(name=last_driver, uid=uid, ip="10.0.0.1"),)
+    closed.objects.put_gate(GateState(epoch=4, recovery=left, pinned=pinned))
+    asked: list[float] = []
+    world = World(Store())
+
+    def kept(onset: float) -> KeptState:
+        asked.append(onset)
+        return KEPT
+
+    context = replace(world.context(), kept=kept)
+    monkeypatch.setattr(closed.options, "context", lambda: context)
+    await closed.open()
+    assert world.store.kept_states == ({"w-1": KEPT} if is_given else {})
+    assert asked == ([7.0] if is_given else []), "what was kept before the failure"
+    conditions = closed.objects.notices.status.by_type
+    assert ("StateRestored" in conditions) == is_given
+
+
+async def test_a_pod_that_has_just_started_drives_once_it_is_ready_or_has_had_time_for_it() -> None:
+    store = Store()
+    pod = store.add("w-1", ready=False)
+
+    context, grace = World(store).context(), seconds(POLICY.monitoring.startup_grace) / 2
+    activation = InitialActivation(context.instances, context.agents)  # type: ignore[arg-type]
+    long_after = time.time() + 10 * grace
+
+    def ready(seconds: float) -> list[str]:
+        return [one.name for one in activation.candidates(POLICY, long_after + seconds, paused=False).ready]
+
+    assert ready(0.0) == ready(grace) == []
+    assert ready(grace + 0.1) == ["w-1"]
+    store.pods.clear()
+    ready(grace + 0.2)
+    store.pods[pod.name] = pod
+    assert ready(grace + 0.3) == []
+    store.answering.add("w-1")
+    assert ready(grace + 0.4) == ["w-1"]
 
 
 async def test_no_instance_is_activated_during_a_pause(tmp_path: Path) -> None:

@@ -231,6 +231,26 @@ def test_an_instance_whose_agent_answers_is_not_on_a_lost_node() -> None:
     assert judging.verdict(unready, start + 30.1).state == "Failed"
 
 
+def test_an_instance_that_its_agent_reports_as_healthy_and_nobody_heard_has_the_startup_grace() -> None:
+    statuses = {"uid-1": AgentStatus("Running", ready_at=time.time() - 900, ready=True)}
+    judging, _ = judging_silence({"gap": "500ms"}, driven_epoch=3, statuses=statuses)
+    start = judging.since
+    for after in (0.0, 4.9, 5.1, 10.3, 15.5, 29.9):
+        assert judging.verdict(ACTIVE, start + after).state == "Starting"
+    assert judging.verdict(ACTIVE, start + 35.2).state == "Failed"
+
+
+def test_an_instance_whose_agent_reported_it_as_healthy_and_does_not_answer_any_more_is_judged_early() -> None:
+    statuses = {"uid-1": AgentStatus("Running", ready_at=time.time() - 900, ready=True)}
+    judging, _ = judging_silence({"gap": "500ms"}, driven_epoch=3, statuses=statuses)
+    start = judging.since
+    for after in (0.0, 4.9, 5.1):
+        assert judging.verdict(ACTIVE, start + after).state == "Starting"
+    del statuses["uid-1"]
+    assert judging.verdict(ACTIVE, start + 10.0).state == "Starting"
+    assert judging.verdict(ACTIVE, start + 10.2).state == "Failed"
+
+
 def test_an_instance_whose_agent_answers_a_moment_later_is_not_on_a_lost_node() -> None:
     """The monitor discovers the robot before it is connected to the agent."""
     statuses: dict[str, AgentStatus] = {}

@@ -7,12 +7,16 @@ import contextlib
 import logging
 import math
 import time
+from dataclasses import replace
 
 from understudy.failover.abandoned import AbandonedRecovery, ended
 from understudy.failover.interfaces import Instance, Instances, Superseded
-from understudy.failover.progress import PodIdentity
+from understudy.failover.progress import PodIdentity, Progress
+from understudy.failover.strategies.steps import restore
 from understudy.kube.client import FAILURES, NO_ANSWER
+from understudy.monitor.act.instances.state_manager import StateManager
 from understudy.monitor.act.objects.gate_control import GateControl
+from understudy.monitor.decide.strategy_options import StrategyOptions
 from understudy.monitor.notices import Notices
 
 _logger = logging.getLogger(__name__)
@@ -30,8 +34,18 @@ OPEN_AGAIN = 1.0
 class GateOpening:
     """Opens the gate of one workload while it is closed. Times are Unix seconds."""
 
-    def __init__(self, fleet: Instances, gate: GateControl, notices: Notices) -> None:
+    def __init__(
+        self,
+        fleet: Instances,
+        gate: GateControl,
+        options: StrategyOptions,
+        state_manager: StateManager,
+        notices: Notices,
+    ) -> None:
         self._fleet, self._gate, self._notices = fleet, gate, notices
+        self._options, self._state_manager = options, state_manager
+        self._given: Instance | None = None
+        """The instance that was given state last, as it was then."""
         self._next_asked = 0.0
         self._open_after = -math.inf
         """When the next request is due (monotonic seconds)."""
@@ -50,6 +64,8 @@ class GateOpening:
             last = [PodIdentity(name=pod.name, uid=pod.uid) for pod in state.pinned[:1] if not left.has_failed(pod.uid)]
             failed = [pod for pod in (*left.failed, *last) if pod.uid != first.uid]
             left = ended(left).model_copy(update={"failed": failed})
+            if [pod.uid for pod in state.pinned[:1]] != [first.uid]:
+                await self._give_state(first, left)
         try:
             async with asyncio.timeout(OPEN_WITHIN):
                 await self._gate.commit(first, left)
@@ -61,6 +77,25 @@ class GateOpening:
         self._is_sent = False
         _logger.info("gate opened for %s, epoch %d", first.name, self._gate.state.epoch)
         self._notices.event("Normal", "InControl", f"{first.name} is active, epoch {self._gate.state.epoch}")
+
+    async def _give_state(self, first: Instance, left: Progress) -> None:
+        """Give an instance the kept state, once: a recovery that failed left none, and its strategies are not carried out again."""
+        if not self._options.choices():
+            return  # the settings of the workload are not known yet
+        given, self._given = self._given, first
+        if given is not None and (given.uid, given.restarts) == (first.uid, first.restarts):
+            return
+        context = self._options.context()
+        last = self._gate.state.pinned[:1]
+        has_failed_since = any(not left.has_failed(pod.uid) for pod in last)
+        onset = {"last_healthy": context.clock()} if has_failed_since else {}
+        target = PodIdentity(name=first.name, uid=first.uid)
+        progress = left.model_copy(update={"target": target, "state": [], "moments": left.moments | onset})
+        await restore(first, progress, replace(context, save=lambda progress: None))
+        if any(entry.restored for entry in progress.state):
+            await asyncio.sleep(context.expiry)  # for commands that it sent before
+        if progress.state:
+            self._state_manager.report_restored(progress.to_recovery(0))
 
     async def settle(self) -> None:
         """Prevent that a request without an answer still opens the gate, while it must not open.
