@@ -126,6 +126,9 @@ RECORDINGS_PORT = 9110
 DISCOVERY_PORT = 11811
 """UDP port of the managed ROS discovery server."""
 
+DISCOVERY_ASKED_PORT = 11812
+"""UDP port at which managed discovery servers ask each other who is behind their Service."""
+
 MONITOR_ACCOUNT_ENDING = "-understudy-monitor"
 
 AGENT_CONTAINER = "understudy-agent"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -16,6 +18,13 @@ from tests.unit.dds import isolate_discovery
 from tests.unit.ros.processes import PACKAGE, Processes
 
 SERVER = PACKAGE.parent / "docker" / "understudy-discovery-server"
+
+
+def kill(server: subprocess.Popen[bytes]) -> None:
+    """Kill a discovery server with the process that supervises it."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(server.pid, signal.SIGKILL)
+    server.wait()
 
 
 @pytest.fixture
@@ -37,23 +46,30 @@ def discovery_server(
     dds: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> Iterator[Callable[[], subprocess.Popen[bytes]]]:
     """Starts a server, at the same address as any before, that participants made from then on know."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    with contextlib.ExitStack() as stack:
+        free = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(2)]
+        for one in free:
+            one.bind(("127.0.0.1", 0))
+        port, asked = (one.getsockname()[1] for one in free)
     monkeypatch.delenv("ROS_AUTOMATIC_DISCOVERY_RANGE")
     started: list[subprocess.Popen[bytes]] = []
-    environment = {**os.environ, "UNDERSTUDY_ENVIRONMENT": sys.prefix, "HOME": str(tmp_path)}
+    environment = {
+        **os.environ,
+        "UNDERSTUDY_ENVIRONMENT": sys.prefix,
+        "HOME": str(tmp_path),
+        "PYTHONPATH": str(PACKAGE),
+    }
 
     def server() -> subprocess.Popen[bytes]:
-        process = subprocess.Popen([SERVER, "127.0.0.1", str(port)], env=environment, stdout=subprocess.DEVNULL)
+        command = [SERVER, "127.0.0.1", str(port), str(asked)]
+        process = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, start_new_session=True)
         started.append(process)
         return process
 
     monkeypatch.setenv("ROS_DISCOVERY_SERVER", f"127.0.0.1:{port}")
     yield server
     for process in started:
-        process.kill()
-        process.wait()
+        kill(process)
 
 
 @pytest.fixture

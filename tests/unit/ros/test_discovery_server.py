@@ -7,6 +7,8 @@ import time
 
 import pytest
 
+from tests.unit.ros.conftest import kill
+
 pytest.importorskip("rclpy")
 
 pytestmark = pytest.mark.ros
@@ -21,7 +23,6 @@ def test_a_new_discovery_server_knows_the_participants_of_its_predecessor(discov
     processes.node("publish", "/chat", "10")
     hear()
     time.sleep(4.0)  # until all that they have to tell the server has been taken by it
-    server.kill()
-    server.wait()
+    kill(server)
     discovery_server()
     hear()

@@ -13,6 +13,9 @@ from understudy.controller.pods.instance_pod import HARDENED
 from understudy.kube.client import PODS, Object
 from understudy.ros.rmw import MIDDLEWARE
 
+_PORTS = {"discovery": names.DISCOVERY_PORT, "asked": names.DISCOVERY_ASKED_PORT}
+"""For participants, and for other servers (ros/dds/sole_server.py)."""
+
 _REQUESTS = {"cpu": "10m", "memory": "32Mi"}
 
 TOLERATIONS: list[Object] = [
@@ -31,10 +34,9 @@ def _labels(workload: str) -> dict[str, str]:
 
 def service(workload: str, address: str | None = None) -> Object:
     """Return the Service. ``address`` is a former address to request again, because running processes know no other."""
-    port = names.DISCOVERY_PORT
     spec: Object = {
         "selector": _labels(workload),
-        "ports": [{"name": "discovery", "protocol": "UDP", "port": port, "targetPort": port}],
+        "ports": [{"name": name, "protocol": "UDP", "port": port, "targetPort": port} for name, port in _PORTS.items()],
     }
     if address:
         spec["clusterIP"] = address
@@ -48,7 +50,7 @@ def service(workload: str, address: str | None = None) -> Object:
 
 def deployment(workload: str, images: Images, address: str) -> Object:
     """Return the server's Deployment. The server announces the Service's address, which stays when the pod changes."""
-    command = MIDDLEWARE.discovery_command(address, names.DISCOVERY_PORT)
+    command = MIDDLEWARE.discovery_command(address, names.DISCOVERY_PORT, names.DISCOVERY_ASKED_PORT)
     container = {
         "name": "discovery",
         "image": images.monitor,
@@ -56,7 +58,7 @@ def deployment(workload: str, images: Images, address: str) -> Object:
         "command": command[:1],
         "args": command[1:],
         "env": [{"name": "HOME", "value": "/tmp"}],
-        "ports": [{"name": "discovery", "containerPort": names.DISCOVERY_PORT, "protocol": "UDP"}],
+        "ports": [{"name": name, "containerPort": port, "protocol": "UDP"} for name, port in _PORTS.items()],
         "resources": {"requests": dict(_REQUESTS)},
         "securityContext": HARDENED,
         "volumeMounts": [{"name": "tmp", "mountPath": "/tmp"}],

@@ -1,0 +1,132 @@
+"""Runs a discovery server for as long as the workload's Service leads to it, and ends it when the Service leads to another one.
+
+    python -m understudy.ros.dds.sole_server ADDRESS PORT COMMAND [ARGUMENT...]
+
+All discovery servers of a workload have one GUID, since a participant knows no other. Two that run beside each other, such as one on a
+node that counts as lost and its successor, answer the same participants, which then discover only some of each other. Neither
+Kubernetes nor the operator can end a server on a node that they cannot reach. So each server asks ADDRESS, that of the Service, every
+second who answers there: the answer is a token that each process draws for itself.
+
+A server that receives no answer goes on: the network may be down, or may not lead a pod back to itself. ADDRESS and PORT (UDP) are those
+at which servers ask and answer; COMMAND is the server, which starts once no other process has answered for a while.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import secrets
+import select
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from typing import Literal
+
+PERIOD = 1.0
+"""Seconds between two questions."""
+
+ANSWER_WITHIN = 0.5
+"""Seconds that an answer may take. A later one counts as none."""
+
+QUIET = 3.0
+"""Seconds without an answer of another process after which a server starts. The participants have noticed by then that the former
+one is gone, and introduce themselves to this one (docker/understudy-discovery-server)."""
+
+REPLACED_AFTER = 2
+"""Answers of another process in a row after which a server ends. The other one answers from its start, so that this server ends before
+the other one begins."""
+
+ENDS_WITHIN = 2.0
+"""Seconds that the command has to end by itself. It then informs its participants, which need not notice that by themselves."""
+
+TOKEN = 16
+"""Bytes of a token, and of the nonce that belongs to a question."""
+
+Answer = Literal["self", "another", "nobody"]
+
+
+class SoleServer:
+    """One server, and the questions to the Service."""
+
+    def __init__(self, address: str, port: int, command: Sequence[str]) -> None:
+        self._at, self._command = (address, port), command
+        self._family = socket.AF_INET6 if ":" in address else socket.AF_INET
+        self._token = secrets.token_bytes(TOKEN)
+        self._server: subprocess.Popen[bytes] | None = None
+        self._answering = socket.socket(self._family, socket.SOCK_DGRAM)
+        self._answering.bind(("", port))
+        self._is_ended = False
+
+    def run(self) -> int:
+        """Run until the command ends by itself, or a signal ends this process. Returns the exit status."""
+        signal.signal(signal.SIGTERM, self._end)
+        signal.signal(signal.SIGINT, self._end)
+        others, quiet_since = 0, time.monotonic()
+        try:
+            while not self._is_ended:
+                asked = time.monotonic()
+                answer = self._ask()
+                others = others + 1 if answer == "another" else 0 if answer == "self" else others
+                if self._server is None:
+                    if others:
+                        others, quiet_since = 0, asked
+                    elif asked - quiet_since >= QUIET:
+                        self._server = subprocess.Popen(self._command)
+                elif (status := self._server.poll()) is not None:
+                    return status
+                elif others >= REPLACED_AFTER:
+                    print("the Service leads to another discovery server: this one ends", flush=True)
+                    self._stop()
+                    others, quiet_since = 0, time.monotonic()
+                self._serve(asked + PERIOD)
+        finally:
+            self._stop()
+            self._answering.close()
+        return 0
+
+    def _end(self, *_: object) -> None:
+        self._is_ended = True
+
+    def _stop(self) -> None:
+        if self._server is not None and self._server.poll() is None:
+            self._server.terminate()
+            try:
+                self._server.wait(ENDS_WITHIN)
+            except subprocess.TimeoutExpired:
+                self._server.kill()
+                self._server.wait()
+        self._server = None
+
+    def _ask(self) -> Answer:
+        """Ask from a port of its own, so that the answer comes from where the Service leads now."""
+        nonce = secrets.token_bytes(TOKEN)
+        with socket.socket(self._family, socket.SOCK_DGRAM) as asking, contextlib.suppress(OSError):
+            asking.sendto(nonce, self._at)
+            end = time.monotonic() + ANSWER_WITHIN
+            while (left := end - time.monotonic()) > 0 and not self._is_ended:
+                if asking in self._wait(left, asking):
+                    answer = asking.recv(2 * TOKEN + 1)
+                    if answer[:TOKEN] == nonce and len(answer) == 2 * TOKEN:
+                        return "self" if answer[TOKEN:] == self._token else "another"
+        return "nobody"
+
+    def _serve(self, end: float) -> None:
+        """Answer until a time, by the monotonic clock."""
+        while (left := end - time.monotonic()) > 0 and not self._is_ended:
+            self._wait(left)
+
+    def _wait(self, seconds: float, *also: socket.socket) -> list[socket.socket]:
+        """Wait for a packet for at most a number of seconds, and answer a question. Returns the sockets that have one."""
+        readable, _, _ = select.select([self._answering, *also], [], [], seconds)
+        if self._answering in readable:
+            with contextlib.suppress(OSError):
+                nonce, sender = self._answering.recvfrom(TOKEN + 1)
+                if len(nonce) == TOKEN:
+                    self._answering.sendto(nonce + self._token, sender)
+        return readable
+
+
+if __name__ == "__main__":
+    sys.exit(SoleServer(sys.argv[1], int(sys.argv[2]), sys.argv[3:]).run())

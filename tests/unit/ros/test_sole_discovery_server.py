@@ -1,0 +1,112 @@
+"""Discovery servers that share the address of a Service, on two hosts: what an address leads to is moved as a Service does it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.support.network_namespaces import Network, network
+from tests.unit.ros.processes import PACKAGE
+
+pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="network namespaces need root")
+
+SERVICE = "10.64.9.9"
+RUNNING = "import sys, time; print('runs', flush=True); time.sleep(60)"
+WITHIN = 15.0
+
+
+class Hosts:
+    """Two hosts with a supervised server each, and the Service that leads to one of them."""
+
+    def __init__(self, lan: Network, folder: Path) -> None:
+        self._hosts = {"a": lan.host("10.64.0.2"), "b": lan.host("10.64.0.3")}
+        self._folder = folder
+        self._started: dict[str, subprocess.Popen[bytes]] = {}
+        self._leads_to = ""
+
+    def lead_to(self, host: str) -> None:
+        for name in self._hosts:
+            if name == self._leads_to:
+                self._inside(name, "ip", "addr", "del", f"{SERVICE}/16", "dev", "eth0")
+        self._inside(host, "ip", "addr", "add", f"{SERVICE}/16", "dev", "eth0")
+        self._leads_to = host
+        for other in self._hosts.keys() - {host}:  # as long as nobody is asked, it still knows the former one
+            self._inside(other, "ip", "neigh", "flush", "dev", "eth0")
+
+    def start(self, host: str) -> None:
+        command = [
+            sys.executable,
+            "-m",
+            "understudy.ros.dds.sole_server",
+            SERVICE,
+            "11812",
+            sys.executable,
+            "-c",
+            RUNNING,
+        ]
+        with (self._folder / host).open("wb") as log:
+            self._started[host] = subprocess.Popen(
+                [*self._hosts[host], *command], stdout=log, env={**os.environ, "PYTHONPATH": str(PACKAGE)}
+            )
+
+    def starts(self, host: str) -> int:
+        """How often the server of a host has started."""
+        return (self._folder / host).read_text().count("runs")
+
+    def ends(self, host: str) -> int:
+        """How often it was ended for another one."""
+        return (self._folder / host).read_text().count("this one ends")
+
+    def end(self) -> None:
+        for supervisor in self._started.values():
+            supervisor.terminate()
+            assert supervisor.wait(10) == 0
+
+    def _inside(self, host: str, *command: str) -> None:
+        subprocess.run([*self._hosts[host], *command], check=True)
+
+
+@pytest.fixture
+def hosts(tmp_path: Path) -> Iterator[Hosts]:
+    with network() as lan:
+        made = Hosts(lan, tmp_path)
+        try:
+            yield made
+        finally:
+            made.end()
+
+
+def eventually(holds: object) -> None:
+    assert callable(holds)
+    end = time.monotonic() + WITHIN
+    while not holds():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def test_a_server_ends_when_the_service_leads_to_another_one_and_starts_when_it_leads_back(hosts: Hosts) -> None:
+    hosts.lead_to("a")
+    hosts.start("a")
+    eventually(lambda: hosts.starts("a") == 1)
+
+    hosts.lead_to("b")
+    hosts.start("b")
+    eventually(lambda: hosts.starts("b") == 1)
+    assert hosts.ends("a") == 1, "before the other one begins"
+
+    hosts.lead_to("a")
+    eventually(lambda: hosts.starts("a") == 2)
+    assert hosts.ends("b") == 1
+
+
+def test_a_server_that_receives_no_answer_goes_on(hosts: Hosts) -> None:
+    hosts.start("a")  # the Service leads nowhere, or the network does not lead a pod back to itself
+    eventually(lambda: hosts.starts("a") == 1)
+    time.sleep(3.0)
+    assert hosts.ends("a") == 0
