@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
@@ -191,7 +192,11 @@ class Outputs:
             first = self._observer.first(found, CLOCK.to_system(since)) if found is not None else None
             if first is not None:
                 return CLOCK.of_system(first)
-            await self._robots.wait(self._workload)
+            # The next sample of an instance that drives all the time is no event of the robots.
+            within = found.period if found is not None and found.sends and found.through else None
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(within):
+                    await self._robots.wait(self._workload)
 
     def _others(self, instance: Instance) -> Iterator[tuple[str, Running]]:
         self._drain()

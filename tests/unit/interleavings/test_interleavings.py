@@ -193,7 +193,7 @@ def test_the_deletion_of_an_understudy_that_never_failed_is_detected() -> None:
 
 def test_a_robot_that_nobody_drives_long_after_an_outage_is_detected() -> None:
     with mock.patch.multiple(gate_control, RETRY_FIRST=200.0, RETRY_MOST=200.0):
-        assert found("nobody drives", EXECUTING, "api_server_is_away", weather=0.0, first=5)
+        assert found("nobody drives", EXECUTING, "api_server_is_away", weather=0.0, first=441)
 
 
 def test_restored_state_that_is_older_than_what_was_kept_is_detected() -> None:
