@@ -152,6 +152,8 @@ class ReflexInvariants(Invariants):
             found = robots.running[driver]
             robots.noted(f"{robot} takes {found.name}")
             robots.counts["taken"] += 1
+        if driver or self.taken.get(robot):
+            self._driven[robot] = now  # also between two looks
         self.taken[robot] = driver
         if not driver:
             return
