@@ -157,6 +157,8 @@ def _judge(
         monitors=witness.monitors(robot.workload),
         unmonitored=witness.unmonitored(robot.workload),
         unled=witness.unled(),
+        unstarted=witness.unstarted(robot.name),
+        deleted=witness.deleted(),
     )
     dump(
         folder / f"{robot.name}.json",
@@ -168,6 +170,8 @@ def _judge(
         goals=seen.goals,
         monitors=seen.monitors,
         unmonitored=seen.unmonitored,
+        unstarted=seen.unstarted,
+        deleted=seen.deleted,
     )
     return judge(seen, injected)
 

@@ -7,6 +7,7 @@ control at that time, statuses say which recoveries there were, and the faults s
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -47,6 +48,9 @@ lets an instance through that was fenced meanwhile, which no product on top of n
 
 LEAK_ENDS = 6.0
 """Seconds after the last command of a leaking instance until the gate is open again that was closed for it: 5 of silence, and a margin."""
+
+FIRST_SECONDS = r"within ([\d.]+) s of the monitor's start"
+"""What a reason says of an instance that a new monitor has never heard, with the seconds that it listened."""
 
 UNSEEN = "restarted while no monitor watched"
 RESTART_KNOWN = 120.0
@@ -153,6 +157,10 @@ class Seen:
     """From when to when no monitor of it ran."""
     unled: Sequence[tuple[float, float]] = ()
     """From when to when no operator led."""
+    unstarted: Sequence[tuple[float, float]] = ()
+    """From when to when a pod of it existed that no kubelet had begun to start."""
+    deleted: Mapping[str, float] = field(default_factory=dict)
+    """When each pod that is or was being deleted was first seen to be."""
 
 
 @dataclass(frozen=True)
@@ -193,6 +201,8 @@ class Judgement:
     """Seconds for which a fenced instance went on alone while the API server failed, so that no node learned of the fence."""
     repaired: list[float] = field(default_factory=list)
     """Seconds from tampering to the last command that it let through, if that was soon enough."""
+    unstarted: list[float] = field(default_factory=list)
+    """Seconds that Kubernetes took until a kubelet began to start a pod, if that was long."""
     unled: list[float] = field(default_factory=list)
     """Seconds without an operator that led, which restores what somebody deletes."""
     restarted_unwatched: list[int] = field(default_factory=list)
@@ -268,6 +278,7 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
         text = f"{len(ages)} commands of {pod}, up to {max(ages):.3f} s older than its switch, arrived after it"
         violation("stale command", switch, text)
     found.unled = [end - begin for begin, end in seen.unled]
+    found.unstarted = [end - begin for begin, end in seen.unstarted]
     found.unwatched = [end - LISTENS - begin for begin, end in unwatched(seen, theirs) if not math.isinf(end)]
     lossy = [
         (one.begun, one.ended + BY_NAME[one.fault.kind].after)
@@ -460,9 +471,8 @@ def gaps(
         found = _recoveries(seen, a.received, b.received)
         waits = [one.waiting for one in injected if BY_NAME[one.fault.kind].delays]
         waits += unrepaired(seen, injected, a.received, b.received)
-        explained = covered(
-            [*waits, *leaked, *unwatched(seen, injected), *evicted(seen, injected)], a.received, b.received
-        )
+        nobodys = [*unwatched(seen, injected), *evicted(seen, injected), *seen.unstarted]
+        explained = covered([*waits, *leaked, *nobodys], a.received, b.received)
         allowed = seen.timeout + SWITCH + sum(_allowed(recovery) for recovery in found)
         strategy = max(found, key=_allowed).strategy if found else ""
         yield a.received, b.received - a.received - explained, strategy, allowed
@@ -484,12 +494,17 @@ def unwatched(seen: Seen, injected: Sequence[Injected]) -> Iterator[tuple[float,
 
 
 def evicted(seen: Seen, injected: Sequence[Injected]) -> Iterator[tuple[float, float]]:
-    """Yield the times in which a robot had no monitor, because Kubernetes took the monitor's node for lost when the API server failed.
+    """Yield the times in which a robot had no monitor, because Kubernetes took the monitor's node for lost when the API server failed,
+    or started the monitor's container again only after a while because it had been killed before.
 
-    How long the next pod takes to start is a matter of Kubernetes and of the machine.
+    How long the next pod or container takes to start is a matter of Kubernetes and of the machine.
     """
     for begin, end in seen.unmonitored:
-        if any(one.fault.kind in API and one.begun <= begin <= one.ended + EVICTS for one in injected):
+        if any(
+            one.begun - LAG <= begin <= one.ended + (EVICTS if one.fault.kind in API else TOGETHER)
+            for one in injected
+            if one.fault.kind in API or one.fault.kind == "monitor-kill"
+        ):
             yield begin, end + LISTENS
 
 
@@ -558,7 +573,11 @@ def rightness(recovery: Recovered, seen: Seen, injected: Sequence[Injected]) -> 
     detected = recovery.moments.get("detected")
     if detected is None:
         return "right"
+    if seen.deleted.get(recovery.old, math.inf) <= detected + LAG:
+        return "right"  # nobody can keep a pod that is being deleted
     before_it = RESTART_KNOWN if UNSEEN in recovery.reason else 2 * seen.timeout
+    if (first := re.search(FIRST_SECONDS, recovery.reason)) is not None:
+        before_it += float(first[1])
     if any(BY_NAME[i.fault.kind].disturbs and i.overlaps(detected - before_it, detected) for i in injected):
         return "right"
     end, limit = detected, seen.timeout

@@ -33,6 +33,10 @@ LOGS_PERIOD = 2.0
 WRITTEN = 1.0
 """Seconds to which the API server notes when an object was written."""
 
+STARTS_WITHIN = 5.0
+"""Seconds from the creation of a pod until a kubelet begins to start it, which take less than one. After outages of the API server,
+the controllers, the scheduler and the kubelets connect again after up to 30 s each."""
+
 RENEWED_WITHIN = 6.0
 """Seconds between two renewals of the operator's lease, which are due every 2 s, up to which one leads."""
 
@@ -54,6 +58,8 @@ class PodSeen:
     """Unix seconds; 0 if it is not ready."""
     owner: str
     address: str
+    is_down: bool
+    """Whether it is a monitor's and that container does not run, which the API server knows."""
     deleted: float
     """Unix seconds at which its grace period ends or ended; 0 if it is not being deleted."""
 
@@ -89,9 +95,12 @@ class Witness:
         self._commits: dict[str, list[Commit]] = {names.gate(workload): [] for workload in workloads}
         self._nodes: dict[str, str] = {}
         self._monitors: dict[str, dict[float, str]] = {workload: {} for workload in workloads}
-        self._ran: dict[str, dict[str, tuple[float, float]]] = {workload: {} for workload in workloads}
+        self._ran: dict[str, dict[tuple[str, float], tuple[float, float]]] = {workload: {} for workload in workloads}
         """From when to when each pod of a workload's monitor was seen, from its readiness on, by its UID."""
         self._renewals: set[float] = set()
+        self._begun: dict[str, tuple[set[str], float, float]] = {}
+        """By the UID of a pod: the values of its labels, when it was created, and when a kubelet began to start it, or it was last seen."""
+        self._deleted: dict[str, float] = {}
         self._read: dict[Path, int] = {}
         self.tracebacks: list[Traceback] = []
         self._ended = threading.Event()
@@ -143,6 +152,16 @@ class Witness:
     def unled(self) -> list[tuple[float, float]]:
         """Return from when to when no operator led."""
         return [(a, b) for a, b in pairwise(sorted(self._renewals)) if b - a > RENEWED_WITHIN]
+
+    def unstarted(self, robot: str) -> list[tuple[float, float]]:
+        """Return from when to when a pod of a robot or of its pool existed that no kubelet had begun to start, if that was long."""
+        ours = [found for found in self._begun.values() if any(value.startswith(f"{robot}-") for value in found[0])]
+        found = [(created, begun) for _, created, begun in ours]
+        return [(created, begun) for created, begun in found if begun - created > STARTS_WITHIN]
+
+    def deleted(self) -> dict[str, float]:
+        """Return when each pod was first seen to be deleted."""
+        return dict(self._deleted)
 
     def _living(self) -> list[PodSeen]:
         return [pod for pod in self._pods.values() if not pod.deleted and pod.node]
@@ -203,19 +222,33 @@ class Witness:
             self._status[name] = status
             for entry in status.get("recoveries") or []:
                 self._recoveries[name, int(entry["number"])] = entry
-        self._pods = {pod["metadata"]["name"]: _pod(pod) for pod in self._kubectl.list("pods")}
+        items = self._kubectl.list("pods")
+        self._pods = {item["metadata"]["name"]: _pod(item) for item in items}
+        for item in items:
+            self._note_pod(item)
         self._nodes |= {pod.name: pod.node for pod in self._pods.values() if pod.node}
         for workload, ran in self._ran.items():
             for pod in self.parts(workload, "monitor"):
                 if pod.ready_since:
                     self._monitors[workload][pod.ready_since] = pod.node
-                    ran.setdefault(pod.uid, (pod.ready_since, pod.ready_since))
-                if pod.uid in ran:  # one that is not ready now, as on a node that is late, may run nevertheless
-                    ran[pod.uid] = ran[pod.uid][0], time.time()
+                    ran.setdefault((pod.uid, pod.ready_since), (pod.ready_since, pod.ready_since))
+                spans = [span for span in ran if span[0] == pod.uid]
+                if (
+                    spans and not pod.is_down
+                ):  # one that is not ready now, as on a node that is late, may run nevertheless
+                    ran[spans[-1]] = ran[spans[-1]][0], time.time()
         system = self._kubectl.in_namespace(SYSTEM).list("pods", "app.kubernetes.io/name=understudy")
         self._operators = [_pod(pod) for pod in system]
         if (lease := self._kubectl.in_namespace(SYSTEM).find("lease", LEASE)) is not None:
             self._renewals.add(unix(lease["spec"]["renewTime"]))
+
+    def _note_pod(self, item: Object) -> None:
+        metadata, begun = item["metadata"], (item.get("status") or {}).get("startTime")
+        labels = set((metadata.get("labels") or {}).values())
+        now = time.time()
+        self._begun[metadata["uid"]] = labels, unix(metadata["creationTimestamp"]), unix(begun) if begun else now
+        if metadata.get("deletionTimestamp"):
+            self._deleted.setdefault(metadata["name"], now)
 
     def _follow_gates(self) -> None:
         cluster, lost = Cluster(self._kubectl.kubeconfig), 0.0
@@ -295,6 +328,10 @@ def _pod(item: Object) -> PodSeen:
         max((unix(c["lastTransitionTime"]) for c in ready if c["status"] == "True"), default=0.0),
         owners[0].get("name", ""),
         status.get("podIP", ""),
+        any(
+            one["name"] == "monitor" and "running" not in (one.get("state") or {})
+            for one in status.get("containerStatuses") or []
+        ),
         unix(metadata["deletionTimestamp"]) if metadata.get("deletionTimestamp") else 0.0,
     )
 

@@ -20,11 +20,11 @@ class Candidates:
     running: Sequence[Instance]
     ready: Sequence[Instance]
     rightful: str = ""
-    """The UID of the instance for which the gate was closed because of a leak; empty for none."""
+    """The UID of the instance that drove until the gate was closed for a leak or deleted; empty for none."""
 
     @property
     def first(self) -> Instance:
-        """The preferred pod: the one that was active until a leak, a pod of the workload's own controller, then the oldest."""
+        """The preferred pod: the one that drove before, a pod of the workload's own controller, then the oldest."""
         return min(self.ready, key=lambda i: (i.uid != self.rightful, not i.from_source, i.created, i.name))
 
     @property
@@ -50,7 +50,7 @@ class InitialActivation:
         For half of the policy's startupGrace, only ready pods of the workload's own controller count. After that, standbys count too,
         and if no pod is ready, pods that have run for as long: an application may need an answer of the robot before it publishes its
         outputs.
-        ``rightful`` is the UID of the instance for which the gate was closed because of a leak; it counts at once.
+        ``rightful`` is the UID of the instance that drove until the gate was closed for a leak or deleted; it counts at once.
         """
         running = [i for i in self._fleet.of_workload() if i.usable and not i.held]
         ready = [i for i in running if not i.has_agent or self._agents.is_ready(i)[0]]

@@ -84,6 +84,8 @@ class DecideStage:
         self.options = StrategyOptions(view, self.limits.storms, context)
         self._deferred = DeferredFailures(notices)
         self._activation = InitialActivation(context.instances, agents)
+        self._driver = ""
+        """UID of the instance that the gate admitted last, as far as this monitor knows."""
         self._other = RecoveryOfAnother(self.options)
 
     def decide(
@@ -103,6 +105,7 @@ class DecideStage:
         if self._gate.state.closed:
             other = self._other.occurrence(unconcluded, may_continue=may_continue)
             return self._activate(policy, judgement.now, other)
+        self._driver = self._gate.state.active_uid
         cases = list(self._cases(policy, judgement, prepared))
         if not cases:
             return Resolution(Wait("NothingDue"), deadline=judgement.deadline)
@@ -152,7 +155,7 @@ class DecideStage:
 
     def _activate(self, policy: FailurePolicySpec, now: float, other: Occurrence | None) -> Resolution:
         limits = self.limits.in_force(now)
-        rightful = self.sole_driver.rightful
+        rightful = self.sole_driver.rightful or self._last_driver()
         candidates = self._activation.candidates(policy, now, paused=limits.pause is not None, rightful=rightful)
         unmet = candidates.unmet
         if unmet is None and policy.on_leak == "Close" and self.sole_driver.may_be_driven(now):
@@ -160,6 +163,11 @@ class DecideStage:
         first = Occurrence(Trigger.INITIAL_ACTIVATION, unmet=unmet)
         facts = Facts(now, (first,) if other is None else (other, first), limits)
         return Resolution(decide(facts), candidates=candidates)
+
+    def _last_driver(self) -> str:
+        """Return the UID of the instance that drove until somebody deleted the gate; empty if it has failed, or is not known."""
+        ended = self._gate.state.recovery
+        return "" if ended is not None and ended.has_failed(self._driver) else self._driver
 
     def _cases(self, policy: FailurePolicySpec, judgement: Judgement, prepared: Preparation | None) -> Iterator[_Case]:
         """Return every trigger that is present. ``failover/decide.py`` says which one comes first."""

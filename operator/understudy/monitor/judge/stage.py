@@ -93,7 +93,8 @@ class JudgeStage:
             lost, again = loss
             return Judgement(now, trusted_from, active, failure=lost, deadline=again)
         assert active is not None
-        if (onset := self.unseen_restart.onset(active, now)) is not None:
+        keeps_state = bool(policy.state.keep or policy.state.parameters or policy.state.lifecycle)
+        if (onset := self.unseen_restart.onset(active, now, keeps_state=keeps_state)) is not None:
             reason = f"a container of {active.name} restarted while no monitor watched, so its state is lost"
             failure = Failure(reason, onset, time.time(), Trigger.POD_LOST)
             return Judgement(now, trusted_from, active, failure=failure)

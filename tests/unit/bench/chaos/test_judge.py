@@ -271,6 +271,36 @@ def test_a_failover_is_false_if_the_robot_had_its_commands_and_no_fault_disturbe
     assert whats(silent) == []
 
 
+def test_a_gap_is_not_longer_by_the_time_until_kubernetes_starts_a_killed_monitor_again() -> None:
+    commands, commits = log(drive("a", 1, 20), drive("b", 50, 60)), [Commit(0.0, 1, ("a",)), Commit(50.0, 2, ("b",))]
+    more = {"commits": commits, "recoveries": [recovery(49.0, 50.0)], "unmonitored": [(10.3, 44.0)]}
+    froze = fault("freeze", 20.0, 22.0)
+    assert whats(judged(commands, froze, **more)) == ["gap"]
+    assert whats(judged(commands, fault("monitor-kill", 10.0), froze, **more)) == []
+
+
+def test_a_failover_of_a_pod_that_is_being_deleted_is_right() -> None:
+    commands, recoveries = log(drive("a", 1, 10.55), drive("b", 10.62, 20)), [recovery(10.5, 10.6)]
+    assert whats(judged(commands, recoveries=recoveries, deleted={"a": 9.0})) == []
+    assert whats(judged(commands, recoveries=recoveries, deleted={"a": 12.0})) == ["false failover"]
+
+
+def test_a_new_monitor_that_never_heard_the_instance_listened_for_the_seconds_that_it_reports() -> None:
+    commands = log(drive("a", 1, 10.55), drive("b", 10.62, 20))
+    recoveries = [recovery(10.5, 10.6, reason="no /scan within 6.1 s of the monitor's start")]
+    lossy = fault("packet-loss", 3.0, 5.0)
+    assert whats(judged(commands, lossy, recoveries=recoveries)) == []
+    assert whats(judged(commands, lossy, recoveries=[recovery(10.5, 10.6)])) == ["false failover"]
+
+
+def test_a_gap_is_not_longer_by_the_time_until_a_kubelet_begins_to_start_a_pod() -> None:
+    commands, commits = log(drive("a", 1, 10), drive("b", 90, 99)), [Commit(0.0, 1, ("a",)), Commit(90.0, 2, ("b",))]
+    found = {"commits": commits, "recoveries": [recovery(11.0, 90.0, "Restart")]}
+    assert whats(judged(commands, KILLED, **found)) == ["gap"]
+    begun = judged(commands, KILLED, unstarted=[(12.0, 60.0)], **found)
+    assert (whats(begun), begun.unstarted) == ([], [48.0])
+
+
 def test_a_fault_that_could_not_be_made_explains_nothing() -> None:
     commands = log(drive("a", 1, 10.55), drive("b", 10.62, 20))
     refused = Injected(KILLED.fault, 10.02, 10.02, refused="no pod")

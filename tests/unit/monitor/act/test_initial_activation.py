@@ -136,6 +136,18 @@ async def test_an_instance_is_given_the_kept_state_before_the_gate_opens_after_a
     assert ("StateRestored" in conditions) == is_given
 
 
+async def test_the_instance_that_drove_drives_again_after_somebody_deleted_the_gate(tmp_path: Path) -> None:
+    standby = Instance(name="w-2", uid="uid-2", ip="10.0.0.2", pool="hot", running=True, ready=True)
+    closed = Closed(tmp_path, ACTIVE, standby)
+    closed.objects.put_gate(GateState(epoch=4, active=standby.name, active_uid=standby.uid))
+    await closed.look(1000.0)
+    closed.objects.put_gate(GateState(epoch=4))
+    assert await closed.look(1000.1)
+    assert [target for target, _ in closed.objects.commits] == ["w-2"], (
+        "and not the pod of the workload's own controller"
+    )
+
+
 async def test_a_pod_that_has_just_started_drives_once_it_is_ready_or_has_had_time_for_it() -> None:
     store = Store()
     pod = store.add("w-1", ready=False)

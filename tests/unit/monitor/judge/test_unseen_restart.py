@@ -12,6 +12,7 @@ import pytest
 
 from tests.unit.monitor.cluster_objects import policy_of
 from tests.unit.monitor.monitors import GivenMonitor
+from tests.unit.monitor.senses import GivenObserver
 from understudy.failover.decide import Recover, Trigger
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import PodIdentity, Progress
@@ -43,6 +44,29 @@ def new_monitor(
     monitor.observer.health = Verdict("Healthy", "", "", None)
     monitor.observer.heard_processes = {active.name: frozenset({heard})}
     return monitor
+
+
+@pytest.mark.parametrize(
+    ("keeps_state", "gap", "is_seen"), [(True, 2.0, True), (True, 0.1, False), (False, 2.0, False)]
+)
+def test_a_restart_while_this_monitor_was_stalled_is_a_failure_if_it_keeps_state(
+    monkeypatch: pytest.MonkeyPatch, keeps_state: bool, gap: float, is_seen: bool
+) -> None:
+    clock = [100.0]
+    monkeypatch.setattr(module.time, "monotonic", lambda: clock[0])
+    observer = GivenObserver()
+    observer.heard_processes = {ACTIVE.name: frozenset({OLD})}
+    unseen = module.UnseenRestart(observer, None)
+    before = replace(ACTIVE, restarts=3)
+    assert unseen.onset(before, 1000.0, keeps_state=keeps_state) is None
+    assert unseen.source(before) == StateSource(ACTIVE.uid, 3, frozenset({OLD}))
+
+    clock[0] += gap
+    assert unseen.onset(before, 1000.0 + gap, keeps_state=keeps_state) is None, "Kubernetes reports it later"
+    observer.heard_processes = {ACTIVE.name: frozenset({NEW})}
+    clock[0] += 0.5
+    onset = unseen.onset(ACTIVE, 1000.5 + gap, keeps_state=keeps_state)
+    assert onset == (1000.0 + gap if is_seen else None)
 
 
 async def test_a_healthy_instance_whose_process_restarted_unseen_is_recovered_with_the_kept_state(

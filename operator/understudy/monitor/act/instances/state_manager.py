@@ -295,7 +295,7 @@ class StateManager:
         async def persist() -> None:
             try:
                 await asyncio.to_thread(self._shelf.save, kept, source)
-                self._persisted = revision
+                self._persisted, self.adopted_nothing = revision, False
             except OSError as error:
                 _logger.error("could not store the kept state, so it is lost if the monitor restarts: %s", error)
             self._persist_if_selected()
