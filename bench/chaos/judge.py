@@ -65,6 +65,9 @@ LISTENS = 6.0
 API = {"api-stop", "api-slow", "api-flap"}
 """The kinds of faults during which nobody learns of changes."""
 
+STARTED_AGAIN = 60.0
+"""Seconds within which a monitor must run again at the latest: Kubernetes waits 10, 20 or 40 s before a container's next start."""
+
 EVICTS = 30.0
 """Seconds after a failure of the API server within which Kubernetes may evict pods because it did not hear their nodes meanwhile."""
 
@@ -471,7 +474,10 @@ def gaps(
         found = _recoveries(seen, a.received, b.received)
         waits = [one.waiting for one in injected if BY_NAME[one.fault.kind].delays]
         waits += unrepaired(seen, injected, a.received, b.received)
-        nobodys = [*unwatched(seen, injected), *evicted(seen, injected), *seen.unstarted]
+        nobodys = [*unwatched(seen, injected), *evicted(seen, injected)]
+        tried = [one["strategy"] for recovery in found for one in recovery.attempts if one["result"] != "NotAvailable"]
+        if not found or {"Restart", "Fallback/Uninitialized"} & set(tried):
+            nobodys += seen.unstarted
         explained = covered([*waits, *leaked, *nobodys], a.received, b.received)
         allowed = seen.timeout + SWITCH + sum(_allowed(recovery) for recovery in found)
         strategy = max(found, key=_allowed).strategy if found else ""
@@ -500,12 +506,10 @@ def evicted(seen: Seen, injected: Sequence[Injected]) -> Iterator[tuple[float, f
     How long the next pod or container takes to start is a matter of Kubernetes and of the machine.
     """
     for begin, end in seen.unmonitored:
-        if any(
-            one.begun - LAG <= begin <= one.ended + (EVICTS if one.fault.kind in API else TOGETHER)
-            for one in injected
-            if one.fault.kind in API or one.fault.kind == "monitor-kill"
-        ):
+        if any(one.fault.kind in API and one.begun <= begin <= one.ended + EVICTS for one in injected):
             yield begin, end + LISTENS
+        elif any(one.fault.kind == "monitor-kill" and abs(begin - one.begun) <= TOGETHER for one in injected):
+            yield begin, min(end, begin + STARTED_AGAIN) + LISTENS
 
 
 def _recoveries(seen: Seen, begin: float, end: float) -> list[Recovered]:
@@ -573,7 +577,7 @@ def rightness(recovery: Recovered, seen: Seen, injected: Sequence[Injected]) -> 
     detected = recovery.moments.get("detected")
     if detected is None:
         return "right"
-    if seen.deleted.get(recovery.old, math.inf) <= detected + LAG:
+    if seen.deleted.get(recovery.old, math.inf) <= detected:
         return "right"  # nobody can keep a pod that is being deleted
     before_it = RESTART_KNOWN if UNSEEN in recovery.reason else 2 * seen.timeout
     if (first := re.search(FIRST_SECONDS, recovery.reason)) is not None:

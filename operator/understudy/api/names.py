@@ -129,6 +129,8 @@ DISCOVERY_PORT = 11811
 DISCOVERY_ASKED_PORT = 11812
 """UDP port at which managed discovery servers ask each other who is behind their Service."""
 
+DISCOVERY_ASKED_VARIABLE = "UNDERSTUDY_DISCOVERY_ASKED"
+
 MONITOR_ACCOUNT_ENDING = "-understudy-monitor"
 
 AGENT_CONTAINER = "understudy-agent"

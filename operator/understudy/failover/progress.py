@@ -193,6 +193,7 @@ class Progress(Model):
         self.failed, self.target = list(attempt.failed), attempt.target
         self.index, self.strategy, self.moments = attempt.index, attempt.strategy, dict(attempt.moments)
         self.state, self.given_restarts = list(attempt.state), attempt.given_restarts
+        self.waiting = attempt.waiting
 
     def note_state(self, report: RestoreReport) -> None:
         """Record which state was restored to the instance that takes over, and which was not. The last attempt counts."""

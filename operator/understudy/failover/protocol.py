@@ -6,6 +6,7 @@ A recovery can continue the progress of an interrupted run: every step reads the
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 from collections.abc import Coroutine, Sequence
 from dataclasses import dataclass
@@ -57,6 +58,9 @@ STALLS = 5
 
 DELETED_WITHIN = 2.0
 """Seconds that the API server has to delete the pods that failed while another instance is to be verified."""
+
+DRIVES_WITHIN = 1.0
+"""Seconds within which a slow instance must be heard again and again, so that it counts as one that drives."""
 
 SILENT_WITHIN = 5.0
 """Seconds after the first output of an instance within which every other one must be silent. A leak that lasts is not the fault of the
@@ -142,6 +146,7 @@ class SlowInstance:
     def __init__(self, progress: Progress, context: StrategyContext) -> None:
         self._progress, self._context = progress, context
         self.attempt: _SlowAttempt | None = None
+        self._resumed: set[int] = set()
         self._listening: asyncio.Task[None] | None = None
 
     def listen(self, index: int) -> None:
@@ -149,18 +154,26 @@ class SlowInstance:
         self.forget()
         target = self._progress.target
         instance = self._context.instances.find(target.uid) if target is not None else None
-        if instance is not None and self._context.gate.state.active_uid == instance.uid:
+        is_admitted = instance is not None and self._context.gate.state.active_uid == instance.uid
+        if instance is not None and is_admitted and index not in self._resumed:
             self.attempt = _SlowAttempt(index, instance, self._progress.model_copy(deep=True))
             self._listening = asyncio.create_task(self._hear(instance))
 
     async def _hear(self, instance: Instance) -> None:
-        if await self._context.outputs.first_from(instance, since=self._context.clock()) is not None:
-            self._progress.drives_late = PodIdentity(name=instance.name, uid=instance.uid)
+        pod = PodIdentity(name=instance.name, uid=instance.uid)
+        while True:  # it may be silent again before a commit is answered
+            first: float | None = None
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(DRIVES_WITHIN):
+                    first = await self._context.outputs.first_from(instance, since=self._context.clock())
+            self._progress.drives_late = pod if first is not None else None
+            await asyncio.sleep(LOST_CHECK_PERIOD)
 
     async def resume(self) -> None:
         """Continue the attempt. The commit ends those that the API server received and did not answer. Raises what a commit raises."""
         assert self.attempt is not None
         attempt, progress = self.attempt, self._progress
+        self._resumed.add(attempt.index)
         self.forget()
         progress.resume(attempt.progress)
         await self._context.gate.commit(attempt.instance, progress)

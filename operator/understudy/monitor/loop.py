@@ -294,6 +294,7 @@ class MonitorLoop:
         """Report the outcome of a recovery or a switchover, and let every stage remember it."""
         if outcome is None:
             return
+        self.judge.unseen_restart.rest()
         if outcome.kind == "NoLongerNeeded":
             self.judge.detector.well()  # the instance is judged by what it has sent all the time
         else:

@@ -59,8 +59,8 @@ class Middleware(ABC):
         """Return the discovery server, as ``HOST:PORT``, of a process with this environment; empty if it uses none."""
 
     @abstractmethod
-    def discovery_command(self, address: str, port: int, asked: int) -> list[str]:
-        """Return the command of a managed discovery server that others reach at an address; ``asked`` is the port for its successors."""
+    def discovery_command(self, address: str, port: int) -> list[str]:
+        """Return the command of a managed discovery server that others reach at an address."""
 
     # -- Settings files -----------------------------------------------------------------------------------------------
 

@@ -58,10 +58,11 @@ def discovery_server(
         "UNDERSTUDY_ENVIRONMENT": sys.prefix,
         "HOME": str(tmp_path),
         "PYTHONPATH": str(PACKAGE),
+        "UNDERSTUDY_DISCOVERY_ASKED": str(asked),
     }
 
     def server() -> subprocess.Popen[bytes]:
-        command = [SERVER, "127.0.0.1", str(port), str(asked)]
+        command = [SERVER, "127.0.0.1", str(port)]
         process = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, start_new_session=True)
         started.append(process)
         return process

@@ -50,14 +50,17 @@ def service(workload: str, address: str | None = None) -> Object:
 
 def deployment(workload: str, images: Images, address: str) -> Object:
     """Return the server's Deployment. The server announces the Service's address, which stays when the pod changes."""
-    command = MIDDLEWARE.discovery_command(address, names.DISCOVERY_PORT, names.DISCOVERY_ASKED_PORT)
+    command = MIDDLEWARE.discovery_command(address, names.DISCOVERY_PORT)
     container = {
         "name": "discovery",
         "image": images.monitor,
         "imagePullPolicy": images.pull_policy,
         "command": command[:1],
         "args": command[1:],
-        "env": [{"name": "HOME", "value": "/tmp"}],
+        "env": [
+            {"name": "HOME", "value": "/tmp"},
+            {"name": names.DISCOVERY_ASKED_VARIABLE, "value": str(names.DISCOVERY_ASKED_PORT)},
+        ],
         "ports": [{"name": name, "containerPort": port, "protocol": "UDP"} for name, port in _PORTS.items()],
         "resources": {"requests": dict(_REQUESTS)},
         "securityContext": HARDENED,

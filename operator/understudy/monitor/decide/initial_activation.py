@@ -60,4 +60,5 @@ class InitialActivation:
         grace = seconds(policy.monitoring.startup_grace) / 2
         if now - self._started <= grace:
             return Candidates(running, [i for i in ready if i.from_source or i.uid == rightful], rightful)
-        return Candidates(running, ready or [i for i in running if now - self._first_seen[i.uid] > grace], rightful)
+        had_time = [i for i in running if i.uid == rightful or now - self._first_seen[i.uid] > grace]
+        return Candidates(running, ready or had_time, rightful)

@@ -83,6 +83,7 @@ class JudgeStage:
         self.sole_driver.update(self._pods.of_workload(), now)
         state = self._gate.state
         if state.closed:
+            self.unseen_restart.rest()
             return Judgement(now, trusted_from)
         active = self._pods.find(state.active_uid)
         if (taken := self.takeover.detect(now)) is not None:

@@ -33,7 +33,7 @@ class UnseenRestart:
         self._until: float | None = None
         """Until when (monotonic seconds) a restart counts as unseen; None before the first output."""
 
-    def onset(self, active: Instance, now: float, *, keeps_state: bool = True) -> float | None:
+    def onset(self, active: Instance, now: float, *, keeps_state: bool = False) -> float | None:
         """Return when the restart became known, in Unix seconds: when this monitor began to watch, or went on. None if there was none.
 
         ``keeps_state`` is whether the policy keeps any: without it, nothing is lost that a recovery could restore.
@@ -60,6 +60,11 @@ class UnseenRestart:
     def ignore(self) -> None:
         """Take the active instance as it is."""
         self._before = None
+        self.rest()
+
+    def rest(self) -> None:
+        """Start to judge again: no instance was active, or a recovery has ended, which knows what it did."""
+        self._judged = self._last = None
 
     def source(self, active: Instance) -> StateSource:
         """Return from which instance and processes state is kept now: still the earlier ones while a restart may become known."""

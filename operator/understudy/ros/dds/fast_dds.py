@@ -53,9 +53,9 @@ class FastDds(Middleware):
         """Return the discovery server; a robot has only one."""
         return environment.get(SERVER_VARIABLE, "")
 
-    def discovery_command(self, address: str, port: int, asked: int) -> list[str]:
+    def discovery_command(self, address: str, port: int) -> list[str]:
         """Return the command of a server that announces this address as its own, since its pod's address changes."""
-        return ["understudy-discovery-server", address, str(port), str(asked)]
+        return ["understudy-discovery-server", address, str(port)]
 
     def gate_ports(self, outputs: Iterable[Output]) -> dict[str, int]:
         """Return the ports by profile name."""

@@ -38,13 +38,17 @@ REPLACED_AFTER = 2
 """Answers of another process in a row after which a server ends. The other one answers from its start, so that this server ends before
 the other one begins."""
 
-ENDS_WITHIN = 2.0
+ENDS_WITHIN = 1.0
 """Seconds that the command has to end by itself. It then informs its participants, which need not notice that by themselves."""
 
 TOKEN = 16
 """Bytes of a token, and of the nonce that belongs to a question."""
 
 Answer = Literal["self", "another", "nobody"]
+
+
+class _Ended(Exception):
+    """A signal ends this process."""
 
 
 class SoleServer:
@@ -57,15 +61,14 @@ class SoleServer:
         self._server: subprocess.Popen[bytes] | None = None
         self._answering = socket.socket(self._family, socket.SOCK_DGRAM)
         self._answering.bind(("", port))
-        self._is_ended = False
 
     def run(self) -> int:
         """Run until the command ends by itself, or a signal ends this process. Returns the exit status."""
-        signal.signal(signal.SIGTERM, self._end)
-        signal.signal(signal.SIGINT, self._end)
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, self._end)
         others, quiet_since = 0, time.monotonic()
         try:
-            while not self._is_ended:
+            while True:
                 asked = time.monotonic()
                 answer = self._ask()
                 others = others + 1 if answer == "another" else 0 if answer == "self" else others
@@ -81,13 +84,16 @@ class SoleServer:
                     self._stop()
                     others, quiet_since = 0, time.monotonic()
                 self._serve(asked + PERIOD)
+        except _Ended:
+            return 0
         finally:
             self._stop()
             self._answering.close()
-        return 0
 
     def _end(self, *_: object) -> None:
-        self._is_ended = True
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, signal.SIG_IGN)
+        raise _Ended  # a wait for packets would go on
 
     def _stop(self) -> None:
         if self._server is not None and self._server.poll() is None:
@@ -105,7 +111,7 @@ class SoleServer:
         with socket.socket(self._family, socket.SOCK_DGRAM) as asking, contextlib.suppress(OSError):
             asking.sendto(nonce, self._at)
             end = time.monotonic() + ANSWER_WITHIN
-            while (left := end - time.monotonic()) > 0 and not self._is_ended:
+            while (left := end - time.monotonic()) > 0:
                 if asking in self._wait(left, asking):
                     answer = asking.recv(2 * TOKEN + 1)
                     if answer[:TOKEN] == nonce and len(answer) == 2 * TOKEN:
@@ -114,7 +120,7 @@ class SoleServer:
 
     def _serve(self, end: float) -> None:
         """Answer until a time, by the monotonic clock."""
-        while (left := end - time.monotonic()) > 0 and not self._is_ended:
+        while (left := end - time.monotonic()) > 0:
             self._wait(left)
 
     def _wait(self, seconds: float, *also: socket.socket) -> list[socket.socket]:

@@ -20,6 +20,7 @@ from understudy.failover.pinned import PinnedPod
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import REPLICA_SETS, ApiError
 from understudy.monitor.act.gate.gate_opening import ASK_AGAIN
+from understudy.monitor.act.objects.gate_control import GateControl
 from understudy.monitor.decide.initial_activation import InitialActivation
 
 ACTIVE = Instance(name="w-1", uid="uid-1", ip="10.0.0.1", running=True, ready=True)
@@ -130,6 +131,9 @@ async def test_an_instance_is_given_the_kept_state_before_the_gate_opens_after_a
     context = replace(world.context(), kept=kept)
     monkeypatch.setattr(closed.options, "context", lambda: context)
     await closed.open()
+    assert len(closed.objects.commits) == (0 if is_given else 1), "it is decided again after that"
+    await closed.open()
+    assert [target for target, _ in closed.objects.commits][:1] == ["w-1"]
     assert world.store.kept_states == ({"w-1": KEPT} if is_given else {})
     assert asked == ([7.0] if is_given else []), "what was kept before the failure"
     conditions = closed.objects.notices.status.by_type
@@ -146,6 +150,18 @@ async def test_the_instance_that_drove_drives_again_after_somebody_deleted_the_g
     assert [target for target, _ in closed.objects.commits] == ["w-2"], (
         "and not the pod of the workload's own controller"
     )
+
+
+async def test_no_state_is_given_before_the_api_server_answers_that_has_to_open_the_gate(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left = Progress.begin("it ended", last_healthy=7.0, detected=8.0, failed=[PodIdentity(name="w-0", uid="uid-0")])
+    closed = Closed(tmp_path, ACTIVE, left=left)
+    world = World(Store(kept=KEPT))
+    monkeypatch.setattr(closed.options, "context", world.context)
+    monkeypatch.setattr(GateControl, "unanswered_since", 1.0)
+    await closed.open()
+    assert (world.store.kept_states, closed.objects.commits) == ({}, [])
 
 
 async def test_a_pod_that_has_just_started_drives_once_it_is_ready_or_has_had_time_for_it() -> None:

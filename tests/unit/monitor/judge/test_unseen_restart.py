@@ -69,6 +69,22 @@ def test_a_restart_while_this_monitor_was_stalled_is_a_failure_if_it_keeps_state
     assert onset == (1000.0 + gap if is_seen else None)
 
 
+async def test_an_instance_that_restarted_during_a_recovery_that_failed_is_not_failed_for_that_again(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    clock = [100.0]
+    monkeypatch.setattr(module.time, "monotonic", lambda: clock[0])
+    observer = GivenObserver()
+    observer.heard_processes = {ACTIVE.name: frozenset({OLD})}
+    unseen, before = module.UnseenRestart(observer, None), replace(ACTIVE, restarts=3)
+    unseen.onset(before, 1000.0, keeps_state=True)
+    unseen.source(before)
+    unseen.rest()
+    clock[0] += 10.0
+    observer.heard_processes = {ACTIVE.name: frozenset({NEW})}
+    assert unseen.onset(ACTIVE, 1010.0, keeps_state=True) is None
+
+
 async def test_a_healthy_instance_whose_process_restarted_unseen_is_recovered_with_the_kept_state(
     tmp_path: Path,
 ) -> None:

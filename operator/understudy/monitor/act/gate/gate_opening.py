@@ -64,8 +64,9 @@ class GateOpening:
             last = [PodIdentity(name=pod.name, uid=pod.uid) for pod in state.pinned[:1] if not left.has_failed(pod.uid)]
             failed = [pod for pod in (*left.failed, *last) if pod.uid != first.uid]
             left = ended(left).model_copy(update={"failed": failed})
-            if [pod.uid for pod in state.pinned[:1]] != [first.uid]:
-                await self._give_state(first, left)
+            is_other = [pod.uid for pod in state.pinned[:1]] != [first.uid]
+            if is_other and self._is_to_be_given_state(first) and await self._give_state(first, left):
+                return  # it is decided again: much may have happened meanwhile
         try:
             async with asyncio.timeout(OPEN_WITHIN):
                 await self._gate.commit(first, left)
@@ -78,24 +79,36 @@ class GateOpening:
         _logger.info("gate opened for %s, epoch %d", first.name, self._gate.state.epoch)
         self._notices.event("Normal", "InControl", f"{first.name} is active, epoch {self._gate.state.epoch}")
 
-    async def _give_state(self, first: Instance, left: Progress) -> None:
-        """Give an instance the kept state, once: a recovery that failed left none, and its strategies are not carried out again."""
-        if not self._options.choices():
-            return  # the settings of the workload are not known yet
-        given, self._given = self._given, first
-        if given is not None and (given.uid, given.restarts) == (first.uid, first.restarts):
-            return
+    def _is_to_be_given_state(self, first: Instance) -> bool:
+        given = self._given
+        is_known = bool(self._options.choices())  # with the settings of the workload
+        return is_known and (given is None or (given.uid, given.restarts) != (first.uid, first.restarts))
+
+    async def _give_state(self, first: Instance, left: Progress) -> bool:
+        """Give an instance the kept state: a recovery that failed left none, and its strategies are not carried out again.
+
+        Returns whether that took time.
+        """
+        if self._gate.unanswered_since is not None:
+            await self.settle()  # the gate cannot open before the API server answers
+            return True
         context = self._options.context()
         last = self._gate.state.pinned[:1]
         has_failed_since = any(not left.has_failed(pod.uid) for pod in last)
         onset = {"last_healthy": context.clock()} if has_failed_since else {}
         target = PodIdentity(name=first.name, uid=first.uid)
         progress = left.model_copy(update={"target": target, "state": [], "moments": left.moments | onset})
-        await restore(first, progress, replace(context, save=lambda progress: None))
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(context.restore_within + OPEN_WITHIN):
+                await restore(first, progress, replace(context, save=lambda progress: None))
+        if self._gate.unanswered_since is not None:
+            return True
+        self._given = first
         if any(entry.restored for entry in progress.state):
             await asyncio.sleep(context.expiry)  # for commands that it sent before
         if progress.state:
             self._state_manager.report_restored(progress.to_recovery(0))
+        return bool(progress.state)
 
     async def settle(self) -> None:
         """Prevent that a request without an answer still opens the gate, while it must not open.
