@@ -163,13 +163,13 @@ def all_around(robots: dict[Robot, str], active: dict[Robot, str], tag: str) -> 
     )
 
 
-def lose(robot: Robot, active: str, policy: str, *, number: int) -> str:
+def lose(robot: Robot, active: str, policy: str, *, number: int, expires: bool = True) -> str:
     """Freeze the pod in control, and see the robot be handed over by its policy's first strategy; who drives it then."""
     robot.fail(active, "frozen")  # a killed container is back before its policy is out of patience
     recovery = robot.wait_recovered(number)
     strategy = {EXECUTING: "Fallback/Executing", UNINITIALIZED: "Fallback/Uninitialized"}[policy]
     assert (recovery.strategy, recovery.old) == (strategy, active), recovery
-    assert_handed_over(robot, recovery)
+    assert_handed_over(robot, recovery, expires=expires)
     return recovery.new
 
 
@@ -180,7 +180,7 @@ def test_an_upgrade_from_the_previous_version_leaves_no_gap_at_the_robots(
     pooled, standing, active = driven(kubectl)
     robots = {pooled: UNINITIALIZED, standing: EXECUTING}
     # The one that waits then was made by the workload's own controller.
-    active[standing] = lose(standing, active[standing], EXECUTING, number=1)
+    active[standing] = lose(standing, active[standing], EXECUTING, number=1, expires=False)
     failures = {pooled: 0, standing: 1}
     for robot in robots:
         assert robot.wait_protected() == active[robot]
@@ -290,7 +290,8 @@ def test_a_rollback_to_the_previous_version_leaves_no_gap_at_the_robots(
         )
         assert tags(kubectl.get("pod", active[robot])) == {PRESENT}, "the pod in control stays, with its agent"
     for robot, policy in robots.items():
-        assert tags(kubectl.get("pod", lose(robot, active[robot], policy, number=failures[robot] + 1))) == {earlier.tag}
+        found = lose(robot, active[robot], policy, number=failures[robot] + 1, expires=False)
+        assert tags(kubectl.get("pod", found)) == {earlier.tag}
 
 
 @pytest.mark.long
