@@ -96,7 +96,7 @@ class Witness:
         self._nodes: dict[str, str] = {}
         self._monitors: dict[str, dict[float, str]] = {workload: {} for workload in workloads}
         self._ran: dict[str, dict[tuple[str, float], tuple[float, float]]] = {workload: {} for workload in workloads}
-        """From when to when each pod of a workload's monitor was seen, from its readiness on, by its UID."""
+        """From when to when each monitor of a workload was seen to run, by its pod's UID and by when it became ready."""
         self._renewals: set[float] = set()
         self._begun: dict[str, tuple[set[str], float, float]] = {}
         """By the UID of a pod: the values of its labels, when it was created, and when a kubelet began to start it, or it was last seen."""
@@ -155,9 +155,11 @@ class Witness:
 
     def unstarted(self, robot: str) -> list[tuple[float, float]]:
         """Return from when to when a pod of a robot or of its pool existed that no kubelet had begun to start, if that was long."""
-        ours = [found for found in self._begun.values() if any(value.startswith(f"{robot}-") for value in found[0])]
-        found = [(created, begun) for _, created, begun in ours]
-        return [(created, begun) for created, begun in found if begun - created > STARTS_WITHIN]
+        return [
+            (created, begun)
+            for labels, created, begun in self._begun.values()
+            if begun - created > STARTS_WITHIN and any(value.startswith(f"{robot}-") for value in labels)
+        ]
 
     def deleted(self) -> dict[str, float]:
         """Return when each pod was first seen to be deleted."""
@@ -232,11 +234,10 @@ class Witness:
                 if pod.ready_since:
                     self._monitors[workload][pod.ready_since] = pod.node
                     ran.setdefault((pod.uid, pod.ready_since), (pod.ready_since, pod.ready_since))
-                spans = [span for span in ran if span[0] == pod.uid]
-                if (
-                    spans and not pod.is_down
-                ):  # one that is not ready now, as on a node that is late, may run nevertheless
-                    ran[spans[-1]] = ran[spans[-1]][0], time.time()
+                # One that is not ready now, as on a node that is late, may run nevertheless.
+                spans = [] if pod.is_down else [span for span in ran if span[0] == pod.uid]
+                for span in spans[-1:]:
+                    ran[span] = ran[span][0], time.time()
         system = self._kubectl.in_namespace(SYSTEM).list("pods", "app.kubernetes.io/name=understudy")
         self._operators = [_pod(pod) for pod in system]
         if (lease := self._kubectl.in_namespace(SYSTEM).find("lease", LEASE)) is not None:

@@ -36,12 +36,18 @@ def api_server_process() -> int:
     return pid
 
 
-def pod_logs() -> Iterator[Path]:
-    """The log files of all containers on the nodes that are on, as this machine sees them."""
+def node_processes() -> Iterator[int]:
+    """The first process of each node that is on; it has the node's mounts and network."""
     layout = layouts.load(os.environ.get("UNDERSTUDY_CLUSTER_NAME") or layouts.DEFAULT_NAME)
     for number in layout.nodes if layout else ():
         if layout and (pid := nodes.init(layout, number)):
-            yield from Path(f"/proc/{pid}/root/var/log/pods").glob("*/*/*.log")
+            yield pid
+
+
+def pod_logs() -> Iterator[Path]:
+    """The log files of all containers on the nodes that are on, as this machine sees them."""
+    for pid in node_processes():
+        yield from Path(f"/proc/{pid}/root/var/log/pods").glob("*/*/*.log")
 
 
 @contextlib.contextmanager
