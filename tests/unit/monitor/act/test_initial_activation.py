@@ -15,6 +15,7 @@ from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.pause_spec import Pause
 from understudy.api.protocol.kept_state import KeptSample, KeptState
+from understudy.clock import CLOCK
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.pinned import PinnedPod
 from understudy.failover.progress import PodIdentity, Progress
@@ -93,17 +94,22 @@ async def test_opening_the_gate_after_a_failed_recovery_keeps_the_list_of_failed
     assert ([pod.name for pod in progress.failed], progress.result) == (["w-0"], "Failed"), "nobody continues it"
 
 
-async def test_opening_the_gate_for_another_instance_counts_the_last_driver_as_failed(tmp_path: Path) -> None:
+@pytest.mark.parametrize("is_first_failure", [True, False])
+async def test_opening_the_gate_for_another_instance_counts_the_last_driver_as_failed(
+    tmp_path: Path, is_first_failure: bool
+) -> None:
     # It may have failed just before the gate closed for a leak, when nobody had noticed that yet.
     monitor = GivenMonitor(tmp_path)
     objects = monitor.objects
-    left = Progress.begin("it ended", last_healthy=0.0, detected=0.0, failed=[PodIdentity(name="w-0", uid="uid-0")])
+    failed = [PodIdentity(name="w-0", uid="uid-0")]
+    left = None if is_first_failure else Progress.begin("it ended", last_healthy=0.0, detected=0.0, failed=failed)
     pinned = tuple(PinnedPod(name=f"w-{number}", uid=f"uid-{number}", ip=f"10.0.0.{number}") for number in (3, 0))
     objects.put_gate(GateState(epoch=4, recovery=left, pinned=pinned))
     await monitor.loop.act.opening.open(ACTIVE)
     ((target, progress),) = objects.commits
     assert progress is not None
-    assert (target, [pod.name for pod in progress.failed]) == ("w-1", ["w-0", "w-3"])
+    assert progress.result == "Failed", "nobody continues it"
+    assert (target, [pod.name for pod in progress.failed]) == ("w-1", ["w-3"] if is_first_failure else ["w-0", "w-3"])
 
 
 KEPT = KeptState(
@@ -111,10 +117,15 @@ KEPT = KeptState(
 )
 
 
-@pytest.mark.parametrize(("last_driver", "is_given"), [("w-0", True), ("w-1", False)])
-async def test_an_instance_is_given_the_kept_state_before_the_gate_opens_after_a_failed_recovery(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, last_driver: str, is_given: bool
+NOW = 99.0
+
+
+@pytest.mark.parametrize(("last_driver", "onsets"), [("w-0", [7.0]), ("w-1", []), ("w-3", [NOW])])
+async def test_an_instance_is_given_what_was_kept_before_the_last_driver_failed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, last_driver: str, onsets: list[float]
 ) -> None:
+    is_given = bool(onsets)
+    monkeypatch.setattr(CLOCK, "now", lambda: NOW)
     left = Progress.begin("it ended", last_healthy=7.0, detected=8.0, failed=[PodIdentity(name="w-0", uid="uid-0")])
     closed = Closed(tmp_path, ACTIVE, left=left)
     closed.objects.notices.record(left.model_copy(update={"result": "Failed"}))
@@ -135,7 +146,7 @@ async def test_an_instance_is_given_the_kept_state_before_the_gate_opens_after_a
     await closed.open()
     assert [target for target, _ in closed.objects.commits][:1] == ["w-1"]
     assert world.store.kept_states == ({"w-1": KEPT} if is_given else {})
-    assert asked == ([7.0] if is_given else []), "what was kept before the failure"
+    assert asked == onsets
     conditions = closed.objects.notices.status.by_type
     assert ("StateRestored" in conditions) == is_given
 

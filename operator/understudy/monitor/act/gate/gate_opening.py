@@ -9,6 +9,7 @@ import math
 import time
 from dataclasses import replace
 
+from understudy.clock import CLOCK
 from understudy.failover.abandoned import AbandonedRecovery, ended
 from understudy.failover.interfaces import Instance, Instances, Superseded
 from understudy.failover.progress import PodIdentity, Progress
@@ -29,6 +30,9 @@ OPEN_WITHIN = 2.0
 
 OPEN_AGAIN = 1.0
 """Seconds after a request without success until the next one."""
+
+_CLOSED = "the gate was closed"
+"""The reason in the record of an opening if no recovery closed the gate."""
 
 
 class GateOpening:
@@ -56,17 +60,10 @@ class GateOpening:
         """Open the gate for a pod, unless the last request was a moment ago."""
         if time.monotonic() < self._open_after:
             return
-        # The recovery that closed the gate has ended, but the other pods that failed in it still count as failed. So does the one that
-        # drove last: it may have failed just before the gate closed for a leak.
-        state = self._gate.state
-        left = state.recovery
-        if left is not None:
-            last = [PodIdentity(name=pod.name, uid=pod.uid) for pod in state.pinned[:1] if not left.has_failed(pod.uid)]
-            failed = [pod for pod in (*left.failed, *last) if pod.uid != first.uid]
-            left = ended(left).model_copy(update={"failed": failed})
-            is_other = [pod.uid for pod in state.pinned[:1]] != [first.uid]
-            if is_other and self._is_to_be_given_state(first) and await self._give_state(first, left):
-                return  # it is decided again: much may have happened meanwhile
+        left = self._left_to(first)
+        is_other = [pod.uid for pod in self._gate.state.pinned[:1]] != [first.uid]
+        if left is not None and is_other and self._is_to_be_given_state(first) and await self._give_state(first, left):
+            return  # it is decided again: much may have happened meanwhile
         try:
             async with asyncio.timeout(OPEN_WITHIN):
                 await self._gate.commit(first, left)
@@ -78,6 +75,24 @@ class GateOpening:
         self._is_sent = False
         _logger.info("gate opened for %s, epoch %d", first.name, self._gate.state.epoch)
         self._notices.event("Normal", "InControl", f"{first.name} is active, epoch {self._gate.state.epoch}")
+
+    def _left_to(self, first: Instance) -> Progress | None:
+        """Return the recovery that closed the gate, ended, as the record of an opening for ``first``; None if there was nothing to recover.
+
+        The other pods that failed in it still count as failed. So does the one that drove last: it may have failed just before the gate
+        closed for a leak.
+        """
+        state, now = self._gate.state, CLOCK.now()
+        left = state.recovery
+        failed = [] if left is None else [pod for pod in left.failed if pod.uid != first.uid]
+        for last in (PodIdentity(name=pod.name, uid=pod.uid) for pod in state.pinned[:1] if pod.uid != first.uid):
+            if left is None:
+                left = Progress.begin(_CLOSED, last_healthy=now, detected=now)
+            elif not left.has_failed(last.uid):
+                left = left.model_copy(update={"moments": left.moments | {"last_healthy": now}})
+            if last not in failed:
+                failed.append(last)
+        return None if left is None else ended(left).model_copy(update={"failed": failed})
 
     def _is_to_be_given_state(self, first: Instance) -> bool:
         given = self._given
@@ -93,11 +108,8 @@ class GateOpening:
             await self.settle()  # the gate cannot open before the API server answers
             return True
         context = self._options.context()
-        last = self._gate.state.pinned[:1]
-        has_failed_since = any(not left.has_failed(pod.uid) for pod in last)
-        onset = {"last_healthy": context.clock()} if has_failed_since else {}
         target = PodIdentity(name=first.name, uid=first.uid)
-        progress = left.model_copy(update={"target": target, "state": [], "moments": left.moments | onset})
+        progress = left.model_copy(update={"target": target, "state": [], "moments": dict(left.moments)})
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(context.restore_within + OPEN_WITHIN):
                 await restore(first, progress, replace(context, save=lambda progress: None))
