@@ -1,4 +1,4 @@
-"""A file with the state that the task proxy needs after a restart of its container."""
+"""A file with the state that the task proxy needs after a restart of its container, or in another pod that has the same volume."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _logger = logging.getLogger(__name__)
 
 
 class GoalJournal:
-    """One file, replaced atomically. It is not synced: it guards against a killed process, not against a lost node."""
+    """One file, replaced atomically, and synced: its volume may outlive the node."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -31,6 +31,8 @@ class GoalJournal:
         temporary = self._path.with_suffix(".new")
         with open(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w") as file:
             file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
         os.replace(temporary, self._path)
         self._last = text
 

@@ -8,11 +8,14 @@ import os
 import re
 import signal
 import sys
+from collections.abc import Coroutine
 from pathlib import Path
+from typing import Any
 
 from understudy.action_proxy.goal_journal import GoalJournal
 from understudy.action_proxy.monitor_socket import MonitorSocket
 from understudy.action_proxy.proxy import Proxy
+from understudy.action_proxy.succession import OtherProxies
 from understudy.api import names
 from understudy.process import http_pages, json_logs
 from understudy.ros.runtime.served_node import ServedNode
@@ -21,13 +24,21 @@ _logger = logging.getLogger(__name__)
 
 STATE = Path("/var/lib/understudy")
 
+OWN, LASTING = "tasks", "kept/tasks"
+"""Folders of what lasts as long as the pod, and of what outlives it if the policy has a volume for kept state."""
+
+_NOT_IN_NAMES = r"[^a-zA-Z0-9_]"
+
 HUNG = 20.0
 """Seconds without activity after which the thread that serves ROS counts as stuck. It blocks for a tenth of a second at
 most."""
 
 
 def main(argv: list[str]) -> int:
-    """Run until SIGTERM or SIGINT. The workload is named by UNDERSTUDY_WORKLOAD, its ROS graph by the environment."""
+    """Run until SIGTERM or SIGINT, or until the proxy of another pod has replaced this one.
+
+    UNDERSTUDY_NAMESPACE and UNDERSTUDY_WORKLOAD name the workload, the environment its ROS graph.
+    """
     json_logs.configure(os.environ.get("UNDERSTUDY_LOG_LEVEL", "INFO"))
     workload = os.environ.get("UNDERSTUDY_WORKLOAD")
     if argv or not workload:
@@ -36,12 +47,13 @@ def main(argv: list[str]) -> int:
             file=sys.stderr,
         )
         return 2
-    state = Path(os.environ.get("UNDERSTUDY_STATE", STATE)) / "tasks"
-    state.mkdir(parents=True, exist_ok=True)
+    state = Path(os.environ.get("UNDERSTUDY_STATE", STATE))
+    for folder in (state / OWN, state / LASTING):
+        folder.mkdir(parents=True, exist_ok=True)
     socket = Path(os.environ.get("UNDERSTUDY_TASKS_SOCKET", f"{names.TASKS_DIR}/{names.TASKS_SOCKET}"))
     socket.unlink(missing_ok=True)  # left by an earlier proxy
     port = int(os.environ.get("UNDERSTUDY_TASKS_PORT", names.TASKS_PORT))
-    asyncio.run(_run(workload, state, socket, port))
+    asyncio.run(_run(os.environ.get("UNDERSTUDY_NAMESPACE", ""), workload, state, socket, port))
     return 0
 
 
@@ -52,21 +64,35 @@ def health(silent_for: float) -> tuple[int, str]:
     return 200, "ok\n"
 
 
-async def _run(workload: str, state: Path, socket: Path, port: int) -> None:
+async def _run(namespace: str, workload: str, state: Path, socket: Path, port: int) -> None:
     loop = asyncio.get_running_loop()
     stop_requested = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, stop_requested.set)
-    served = ServedNode("understudy_tasks_" + re.sub(r"[^a-zA-Z0-9_]", "_", workload))
-    proxy = Proxy(served, GoalJournal(state / "goals.json"))
-    talk = MonitorSocket(proxy.place, proxy.report)
-    proxy.on_report = talk.send_state
-    server = await talk.listen(socket)
+    served = ServedNode("understudy_tasks_" + re.sub(_NOT_IN_NAMES, "_", workload))
     page = await http_pages.serve({"/healthz": lambda: health(served.silent_for)}, port)
-    _logger.info("task proxy of %s", workload)
-    await stop_requested.wait()
-    server.close()
+    others = OtherProxies(served, re.sub(_NOT_IN_NAMES, "_", f"{namespace}__{workload}"), state / OWN)
+    stopping = asyncio.create_task(stop_requested.wait())
+    if await _done_before(stopping, others.until_serving()):
+        proxy = Proxy(served, GoalJournal(state / LASTING / "goals.json"))
+        talk = MonitorSocket(proxy.place, proxy.report)
+        proxy.on_report = talk.send_state
+        server = await talk.listen(socket)
+        _logger.info("task proxy of %s", workload)
+        await _done_before(stopping, others.until_replaced(proxy.serving_at))
+        server.close()
+        await proxy.close()
     page.close()
-    await proxy.close()
     await served.close()
     _logger.info("ended")
+
+
+async def _done_before(stopping: asyncio.Task[Any], work: Coroutine[Any, Any, None]) -> bool:
+    """Return whether some work ended before the process has to stop. Raises what the work raises."""
+    task = asyncio.create_task(work)
+    await asyncio.wait({task, stopping}, return_when=asyncio.FIRST_COMPLETED)
+    if not task.done():
+        task.cancel()
+        return False
+    task.result()
+    return True

@@ -119,6 +119,12 @@ class Proxy:
         situation = self._ledger.situation
         return GateEpoch(situation.workload_uid, situation.epoch) if situation is not None else GateEpoch()
 
+    def serving_at(self) -> int | None:
+        """Return the epoch of the gate once all tasks are served; None before, and if the monitor has reported none."""
+        situation = self._ledger.situation
+        is_serving = all(served.server is not None or served.problem for served in self._served.values())
+        return situation.epoch if situation is not None and is_serving else None
+
     # -- reports of instances ----------------------------------------------------------------------------------------
 
     def orders(self, uid: str) -> Sequence[Order]:

@@ -143,7 +143,7 @@ class Monitor:
         self.proxy.kill()
         self.proxy.wait()
         if not journal:
-            (self._folder / "tasks" / "goals.json").unlink()
+            (self._folder / running.LASTING / "goals.json").unlink()
 
     def close(self) -> None:
         self.kill()
@@ -228,6 +228,32 @@ async def test_the_proxy_is_killed_and_no_client_notices(monitor, pods, start, j
     assert len(monitor.reports) > asked
     after = start("client", ACTION, "2")
     await eventually(lambda: after.events_of("ended", status=SUCCEEDED))
+
+
+async def test_a_proxy_ends_that_the_one_of_a_newer_pod_replaces_and_serves_again_once_that_one_is_gone(
+    monitor, pods, start, tmp_path
+):
+    pod = pods("robot-1", STEP="0.1")
+    monitor.switch(pod, pod.peer())
+    client = start("client", ACTION, "100")
+    await eventually(lambda: client.events_of("feedback", step=3))
+    successor = Monitor(tmp_path / "successor")
+    try:
+        await successor.start()
+        successor.switch(pod, pod.peer())
+        await eventually(lambda: monitor.proxy.poll() == 0)
+        assert successor.proxy.poll() is None
+        restarted = asyncio.create_task(monitor.start())  # as Kubernetes restarts the container
+        await eventually(lambda: "this one waits until it is gone" in monitor.log())
+        await eventually(lambda: client.events_of("ended", status=SUCCEEDED))
+        assert executed(pod) == [100]
+        assert not restarted.done()
+    finally:
+        successor.close()
+        print(successor.log())
+    await restarted
+    later = start("client", ACTION, "2")
+    await eventually(lambda: later.events_of("ended", status=SUCCEEDED))
 
 
 async def test_goals_are_cancelled_rejected_preempted_and_survive_their_client(monitor, pods, start):

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from tests.unit.controller.world import IMAGES, TEMPLATE, World, applied, hot, policy, workload
+from understudy.action_proxy.process import LASTING, STATE
 from understudy.api import names
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.kinds.task_spec import Task
@@ -100,6 +101,14 @@ class TestWorkloads:
                 assert one["livenessProbe"]["httpGet"] == {"path": "/healthz", "port": its}, (
                     "it is restarted if it hangs"
                 )
+
+    def test_the_goals_are_on_the_volume_that_outlives_the_pod_if_the_policy_has_one(self) -> None:
+        protecting = policy("hot")
+        protecting["spec"]["state"] = {"keep": [{"topic": "/amcl_pose"}], "storage": {"claimName": "robot-state"}}
+        plan = World(workload("w", tasks=TASKS), protecting, hot()).plan()
+        pod = applied(plan, "deployments")["w-monitor"]["spec"]["template"]["spec"]
+        (proxy,) = (container for container in pod["containers"] if container["name"] == "tasks")
+        assert mounts(proxy)["kept"] == f"{STATE}/{LASTING.split('/')[0]}"
 
     def test_the_pods_of_a_referenced_controller_have_no_proxy_and_the_problem_is_reported(self) -> None:
         reference = {"kind": "Deployment", "name": "arm"}

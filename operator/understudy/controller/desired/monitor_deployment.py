@@ -110,7 +110,8 @@ def deployment(
     owned: Object = {}
     if claim:
         # A policy serves many workloads, and its claim serves all their monitors, so each has its own folder.
-        container["volumeMounts"].append({"name": KEPT_VOLUME, "mountPath": f"{STATE_DIR}/kept", "subPath": workload})
+        for one in containers:
+            one["volumeMounts"].append({"name": KEPT_VOLUME, "mountPath": f"{STATE_DIR}/kept", "subPath": workload})
         shared.append({"name": KEPT_VOLUME, "persistentVolumeClaim": {"claimName": claim}})
         group = HARDENED["runAsGroup"]
         owned = {"securityContext": {"fsGroup": group, "fsGroupChangePolicy": "OnRootMismatch"}}

@@ -1,0 +1,165 @@
+"""Ends a proxy that another one has replaced, so that clients do not have two servers of one action for long.
+
+A monitor's pod may outlive its deletion, on a node that counts as lost. Kubernetes starts another pod then, whose proxy serves the same
+actions. A client takes the first answer, and the replaced proxy may answer that a goal is unknown, because agents refuse its requests.
+Neither Kubernetes nor the operator can end a process on a node that they cannot reach. So the proxies of a workload announce themselves to
+each other in the ROS graph, where their clients are too, and each one ends that another one replaces.
+
+A proxy that was replaced starts again, and serves once it has heard no other one for a while: the other one may have been removed.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import secrets
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import astuple, dataclass
+from pathlib import Path
+
+from understudy.ros.runtime.served_node import ServedNode
+from understudy.ros.runtime.text_topic import TextTopic
+
+_logger = logging.getLogger(__name__)
+
+PERIOD = 0.5
+"""Seconds between two announcements."""
+
+REPLACED_AFTER = 3
+"""Announcements in a row after which another proxy replaces this one. A single one may be early: at a switch, the monitors of two proxies
+learn the new epoch at different times."""
+
+GONE_AFTER = 5.0
+"""Seconds without an announcement of another proxy after which a replaced proxy serves again."""
+
+_SAME_AGE = 1.0
+"""Seconds that two equal ages may seem to differ because of the network."""
+
+
+@dataclass(frozen=True)
+class Announcement:
+    """One proxy, as it announces itself."""
+
+    epoch: int
+    """Of the gate, as the proxy's monitor reported it last."""
+    age: float
+    """Seconds since the pod's first proxy started. It is no time of day, because the clocks of two nodes may differ."""
+    pod: str
+    """Identifies the pod."""
+
+    def replaces(self, other: Announcement) -> bool:
+        """Whether the other proxy ends: this one knows a later switch, or both know the same one and this one's pod is newer."""
+        if self.epoch != other.epoch:
+            return self.epoch > other.epoch
+        if abs(self.age - other.age) > _SAME_AGE:
+            return self.age < other.age
+        return self.pod > other.pod
+
+    def to_wire(self) -> str:
+        """Return the announcement as JSON."""
+        return json.dumps(astuple(self))
+
+    @classmethod
+    def from_wire(cls, text: str) -> Announcement:
+        """Read the JSON. Raises ValueError if it is invalid."""
+        match json.loads(text):
+            case [int(epoch), float(age), str(pod)]:
+                return cls(epoch, age, pod)
+        raise ValueError(f"not an announcement of an action proxy: {text[:80]}")
+
+
+class Succession:
+    """What one proxy knows of the others. Times are monotonic seconds, which all containers of a node share."""
+
+    def __init__(self, folder: Path, now: float) -> None:
+        """``folder`` lasts as long as the pod."""
+        self._mark = folder / "replaced"
+        self._pod, self._started = _identity(folder / "pod.json", now)
+        self._heard = now
+        self._greater: Counter[str] = Counter()
+
+    def own(self, epoch: int, now: float) -> Announcement:
+        """Return the announcement of this proxy."""
+        return Announcement(epoch, max(0.0, now - self._started), self._pod)
+
+    def hear(self, other: Announcement, epoch: int | None, now: float) -> None:
+        """Note an announcement. ``epoch`` is the own one; None if the monitor has reported none, so that only the age counts."""
+        if other.pod == self._pod:
+            return
+        self._heard = now
+        is_greater = other.replaces(self.own(other.epoch if epoch is None else epoch, now))
+        self._greater[other.pod] = self._greater[other.pod] + 1 if is_greater else 0
+
+    @property
+    def is_replaced(self) -> bool:
+        """Whether another proxy has replaced this one."""
+        return max(self._greater.values(), default=0) >= REPLACED_AFTER
+
+    def may_serve(self, now: float) -> bool:
+        """Whether no proxy of this pod was replaced, or no other proxy was heard for a while."""
+        return not self._mark.exists() or now - self._heard >= GONE_AFTER
+
+    def end(self) -> None:
+        """Record for the pod's next process that this one was replaced."""
+        with contextlib.suppress(OSError):  # the next process then serves until it hears the other one
+            self._mark.touch()
+
+    def serve(self) -> None:
+        """Record that this proxy serves. Another one replaces it only by what it announces from now on."""
+        self._greater.clear()
+        with contextlib.suppress(OSError):
+            self._mark.unlink(missing_ok=True)
+
+
+def _identity(path: Path, now: float) -> tuple[str, float]:
+    """Return the identity of the pod, and when its first proxy started. That proxy draws it."""
+    with contextlib.suppress(OSError, ValueError):
+        match json.loads(path.read_text()):
+            case [str(pod), float(started)]:
+                return pod, started
+    drawn = secrets.token_hex(8), now
+    with contextlib.suppress(OSError):  # the next process then counts as that of a newer pod
+        path.write_text(json.dumps(drawn))
+    return drawn
+
+
+class OtherProxies:
+    """Announces a proxy to the others of its workload, and listens to them."""
+
+    def __init__(self, served: ServedNode, workload: str, folder: Path) -> None:
+        """``workload`` is its namespace and name. Raises TypeNotInstalled."""
+        self._succession = Succession(folder, time.monotonic())
+        self._topic = TextTopic(served, f"/_understudy/tasks/{workload}", self._hear)
+        self._epoch: Callable[[], int | None] = lambda: None
+
+    async def until_serving(self) -> None:
+        """Wait until this proxy may serve."""
+        await self._topic.open()
+        waits = False
+        while not self._succession.may_serve(time.monotonic()):
+            if not waits:
+                _logger.info("another action proxy serves: this one waits until it is gone")
+            waits = True
+            await asyncio.sleep(PERIOD)
+        self._succession.serve()
+
+    async def until_replaced(self, epoch: Callable[[], int | None]) -> None:
+        """Announce this proxy until another one has replaced it.
+
+        ``epoch`` returns that of the gate, or None while not everything is served.
+        """
+        self._epoch = epoch
+        while not self._succession.is_replaced:
+            if (present := epoch()) is not None:
+                self._topic.publish(self._succession.own(present, time.monotonic()).to_wire())
+            await asyncio.sleep(PERIOD)
+        self._succession.end()
+        _logger.warning("another action proxy has replaced this one, which ends")
+
+    def _hear(self, text: str) -> None:
+        with contextlib.suppress(ValueError):
+            self._succession.hear(Announcement.from_wire(text), self._epoch(), time.monotonic())
