@@ -157,6 +157,8 @@ def _judge(
         monitors=witness.monitors(robot.workload),
         unmonitored=witness.unmonitored(robot.workload),
         unled=witness.unled(),
+        servers=witness.servers(robot.workload),
+        astray=witness.astray(robot.workload),
         unstarted=witness.unstarted(robot.name),
         deleted=witness.deleted(),
     )
@@ -170,6 +172,9 @@ def _judge(
         goals=seen.goals,
         monitors=seen.monitors,
         unmonitored=seen.unmonitored,
+        servers=seen.servers,
+        astray=seen.astray,
+        unled=seen.unled,
         unstarted=seen.unstarted,
         deleted=seen.deleted,
     )

@@ -65,6 +65,13 @@ LISTENS = 6.0
 API = {"api-stop", "api-slow", "api-flap"}
 """The kinds of faults during which nobody learns of changes."""
 
+LEADS = 5.0
+"""Seconds within which a Service leads to a discovery server that is ready. After several outages of the API server in a row, Kubernetes
+may have given up (kube-controller-manager: "Retry budget exceeded, dropping service out of the queue")."""
+
+SERVER_STARTS = 3.0
+"""Seconds from when a discovery server's pod is ready until the server starts (understudy.ros.dds.sole_server)."""
+
 STARTED_AGAIN = 60.0
 """Seconds within which a monitor must run again at the latest: Kubernetes waits 10, 20 or 40 s before a container's next start."""
 
@@ -160,6 +167,10 @@ class Seen:
     """From when to when no monitor of it ran."""
     unled: Sequence[tuple[float, float]] = ()
     """From when to when no operator led."""
+    servers: Sequence[tuple[float, str]] = ()
+    """When a discovery server's pod became ready, and on which node, in order."""
+    astray: Sequence[tuple[float, float]] = ()
+    """From when to when the Service led to no discovery server although one was ready, so that nobody discovered a new process."""
     unstarted: Sequence[tuple[float, float]] = ()
     """From when to when a pod of it existed that no kubelet had begun to start."""
     deleted: Mapping[str, float] = field(default_factory=dict)
@@ -206,6 +217,8 @@ class Judgement:
     """Seconds from tampering to the last command that it let through, if that was soon enough."""
     unstarted: list[float] = field(default_factory=list)
     """Seconds that Kubernetes took until a kubelet began to start a pod, if that was long."""
+    astray: list[float] = field(default_factory=list)
+    """Seconds for which Kubernetes led nobody to a discovery server that was ready."""
     unled: list[float] = field(default_factory=list)
     """Seconds without an operator that led, which restores what somebody deletes."""
     restarted_unwatched: list[int] = field(default_factory=list)
@@ -231,7 +244,12 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
         near = tuple(one.fault.number for one in theirs if one.overlaps(begin, at))
         found.violations.append(Violation(what, seen.name, at, text, near))
 
-    tampered = [(one.begun, one.ended) for one in theirs if one.fault.kind in TAMPERED]
+    # Nobody restores a gate while no operator leads.
+    tampered = [
+        (one.begun, max([one.ended, *(b for a, b in seen.unled if a <= one.ended <= b)]))
+        for one in theirs
+        if one.fault.kind in TAMPERED
+    ]
 
     def undone(begin: float, end: float) -> bool:
         done = [last for first, last in tampered if first <= begin + LAG and end <= last + REPAIR]
@@ -247,8 +265,8 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
             leaked.append((begin, end + LEAK_ENDS))
         return bool(behind)
 
-    for begin, end, pods in double_drives(seen.commands, seen.commits if seen.reflex else ()):
-        if undone(begin, end) or is_late_network(begin, end, *pods):
+    for begin, back, end, pods in double_drives(seen.commands, seen.commits if seen.reflex else ()):
+        if undone(back, end) or is_late_network(begin, end, *pods):
             continue
         found.double_drives.append(end - begin)
         violation("double drive", end, f"{' and '.join(pods)} drove together for {end - begin:.3f} s", begin)
@@ -282,6 +300,7 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
         violation("stale command", switch, text)
     found.unled = [end - begin for begin, end in seen.unled]
     found.unstarted = [end - begin for begin, end in seen.unstarted]
+    found.astray = [end - begin for begin, end in seen.astray]
     found.unwatched = [end - LISTENS - begin for begin, end in unwatched(seen, theirs) if not math.isinf(end)]
     lossy = [
         (one.begun, one.ended + BY_NAME[one.fault.kind].after)
@@ -304,7 +323,7 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
             continue
         if any(returned(seen.nodes.get(pod, ""), at, injected) is not None for pod in pods):
             continue  # the commands of two instances alternate
-        if nobodys := min(steps, unkept(seen, last)):
+        if nobodys := min(steps, unkept(seen, theirs, last)):
             found.unkept.append(nobodys)
             steps -= nobodys
         found.lost_steps.append(steps)
@@ -359,8 +378,9 @@ def returned(node: str, at: float, injected: Sequence[Injected]) -> float | None
 
 def double_drives(
     commands: Sequence[Command], together: Sequence[Commit] = ()
-) -> Iterator[tuple[float, float, tuple[str, str]]]:
-    """Yield from when to when commands of two instances took turns at the robot, and which two: up to the last change of the sender.
+) -> Iterator[tuple[float, float, float, tuple[str, str]]]:
+    """Yield from when to when commands of two instances took turns at the robot, when the first one was back, and which two: up to the last
+    change of the sender.
 
     One change of the sender is a handover. ``together`` are the commits of a robot with a reflex: its reader itself may go back to the
     instance before while both are let through.
@@ -374,7 +394,7 @@ def double_drives(
     for change in [*changes, (math.inf, math.inf, ("", ""))]:
         if run and (change[0] - run[-1][1] > TOGETHER or set(change[2]) != set(run[-1][2])):
             if len(run) > 1:
-                yield run[0][0], run[-1][0], run[0][2]
+                yield run[0][0], run[1][1], run[-1][0], run[0][2]
             run = []
         run.append(change)
 
@@ -475,6 +495,7 @@ def gaps(
         waits = [one.waiting for one in injected if BY_NAME[one.fault.kind].delays]
         waits += unrepaired(seen, injected, a.received, b.received)
         nobodys = [*unwatched(seen, injected), *evicted(seen, injected)]
+        nobodys += [(first, last + LISTENS) for first, last in seen.astray]
         tried = [one["strategy"] for recovery in found for one in recovery.attempts if one["result"] != "NotAvailable"]
         if not found or {"Restart", "Fallback/Uninitialized"} & set(tried):
             nobodys += seen.unstarted
@@ -491,11 +512,16 @@ def unrepaired(seen: Seen, injected: Sequence[Injected], begin: float, end: floa
 
 
 def unwatched(seen: Seen, injected: Sequence[Injected]) -> Iterator[tuple[float, float]]:
-    """Yield the times in which a robot had no monitor, because that was on a node that was lost."""
+    """Yield the times in which a robot had no monitor, because that was on a node that was lost, or had one that could discover nobody,
+    because the discovery server was there too."""
     for lost in injected:
         before = [node for ready, node in seen.monitors if ready <= lost.begun]
         if lost.fault.kind in NODE_LOST and before and before[-1] == lost.told:
             back = next((ready for ready, _ in seen.monitors if ready > lost.begun), math.inf)
+            servers = [node for ready, node in seen.servers if ready <= lost.begun]
+            if servers and servers[-1] == lost.told:
+                server = next((ready for ready, _ in seen.servers if ready > lost.begun), math.inf)
+                back = max(back, server + SERVER_STARTS)
             yield lost.begun, back + LISTENS
 
 
@@ -559,12 +585,14 @@ def lost_steps(seen: Seen) -> Iterator[tuple[Command, Command, int]]:
             yield a, b, before - reached
 
 
-def unkept(seen: Seen, last: Command) -> int:
-    """Return how many steps an instance had made up to its last command since its monitor had ended; 0 if a newer one had received it.
+def unkept(seen: Seen, injected: Sequence[Injected], last: Command) -> int:
+    """Return how many steps an instance had made up to its last command since its monitor had ended or was frozen; 0 if one had received it
+    since.
 
     Nobody keeps these steps, which are lost if the instance fails then.
     """
-    for begin, end in seen.unmonitored:
+    frozen = [(one.begun, one.ended) for one in injected if one.fault.kind == "monitor-freeze"]
+    for begin, end in [*seen.unmonitored, *frozen]:
         if begin < last.received <= end + LISTENS:
             own = [c for c in seen.commands if c.source == last.source and c.received <= begin]
             reached = max((seen.steps[c.sequence] for c in own if c.sequence in seen.steps), default=None)

@@ -81,6 +81,8 @@ def summarize(
         report.figure("steps lost by an instance that restarted in place without a monitor", restarted, unit="steps")
     if unkept := [steps for judgement in judgements for steps in judgement.unkept]:
         report.figure("steps lost that were made without a monitor", unkept, unit="steps")
+    if astray := [seconds for judgement in judgements for seconds in judgement.astray]:
+        report.figure("time in which a Service led to no discovery server", astray, unit="s")
     if unstarted := [seconds for judgement in judgements for seconds in judgement.unstarted]:
         report.figure("time until a kubelet began to start a pod", unstarted, unit="s")
     if unwatched := [seconds for judgement in judgements for seconds in judgement.unwatched]:

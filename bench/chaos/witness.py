@@ -17,7 +17,7 @@ from typing import Any
 from understudy_demo.recovery import Recovered, unix
 from urllib3.exceptions import HTTPError
 
-from bench.chaos.judge import LAG, Commit
+from bench.chaos.judge import LAG, LEADS, Commit
 from tests.e2e.conftest import SYSTEM
 from tests.e2e.faults import pod_logs, process_ids
 from tests.e2e.kubectl import Failed, Kubectl, Object
@@ -97,6 +97,10 @@ class Witness:
         self._monitors: dict[str, dict[float, str]] = {workload: {} for workload in workloads}
         self._ran: dict[str, dict[tuple[str, float], tuple[float, float]]] = {workload: {} for workload in workloads}
         """From when to when each monitor of a workload was seen to run, by its pod's UID and by when it became ready."""
+        self._servers: dict[str, dict[float, str]] = {workload: {} for workload in workloads}
+        self._astray: dict[str, list[tuple[float, float]]] = {workload: [] for workload in workloads}
+        """From when to when no ready discovery server of a workload was among the endpoints of its Service."""
+        self._is_astray: set[str] = set()
         self._renewals: set[float] = set()
         self._begun: dict[str, tuple[set[str], float, float]] = {}
         """By the UID of a pod: the values of its labels, when it was created, and when a kubelet began to start it, or it was last seen."""
@@ -160,6 +164,14 @@ class Witness:
             for labels, created, begun in self._begun.values()
             if begun - created > STARTS_WITHIN and any(value.startswith(f"{robot}-") for value in labels)
         ]
+
+    def servers(self, workload: str) -> list[tuple[float, str]]:
+        """Return when a discovery server's pod of a workload became ready, and on which node, in order."""
+        return sorted(self._servers[workload].items())
+
+    def astray(self, workload: str) -> list[tuple[float, float]]:
+        """Return from when to when a workload's Service led to no discovery server although one was ready, if that was long."""
+        return [(begin, end) for begin, end in self._astray[workload] if end - begin > LEADS]
 
     def deleted(self) -> dict[str, float]:
         """Return when each pod was first seen to be deleted."""
@@ -238,10 +250,29 @@ class Witness:
                 spans = [] if pod.is_down else [span for span in ran if span[0] == pod.uid]
                 for span in spans[-1:]:
                     ran[span] = ran[span][0], time.time()
+        self._note_servers()
         system = self._kubectl.in_namespace(SYSTEM).list("pods", "app.kubernetes.io/name=understudy")
         self._operators = [_pod(pod) for pod in system]
         if (lease := self._kubectl.in_namespace(SYSTEM).find("lease", LEASE)) is not None:
             self._renewals.add(unix(lease["spec"]["renewTime"]))
+
+    def _note_servers(self) -> None:
+        led: dict[str, set[str]] = {}
+        for item in self._kubectl.list("endpointslices"):
+            service = (item["metadata"].get("labels") or {}).get("kubernetes.io/service-name", "")
+            led.setdefault(service, set()).update(a for one in item.get("endpoints") or [] for a in one["addresses"])
+        now = time.time()
+        for workload, servers in self._servers.items():
+            ready = [pod for pod in self.parts(workload, "discovery") if pod.ready_since]
+            servers |= {pod.ready_since: pod.node for pod in ready}
+            if not ready or led.get(names.discovery(workload), set()) & {pod.address for pod in ready}:
+                self._is_astray.discard(workload)
+                continue
+            spans = self._astray[workload]
+            if workload not in self._is_astray:
+                self._is_astray.add(workload)
+                spans.append((now, now))
+            spans[-1] = spans[-1][0], now
 
     def _note_pod(self, item: Object) -> None:
         metadata, begun = item["metadata"], (item.get("status") or {}).get("startTime")

@@ -357,6 +357,36 @@ def test_a_gate_that_somebody_deletes_stays_away_until_an_operator_leads(led_aga
     assert whats(judged(commands, commits=commits, unled=[(8.0, led_again)])) == ["gap"], "nobody deleted it"
 
 
+@pytest.mark.parametrize(("led_again", "expected"), [(13.0, []), (11.0, ["double drive", "fenced instance"])])
+def test_an_instance_may_drive_beside_another_one_until_an_operator_restores_a_deleted_gate(
+    led_again: float, expected: list[str]
+) -> None:
+    commands = log(drive("a", 1, 10), drive("b", 10.62, 20), drive("a", 11.2, 13.4))
+    found = judged(commands, KILLED, fault("gate-delete", 11.1), unled=[(9.0, led_again)])
+    assert whats(found) == expected
+
+
+@pytest.mark.parametrize(("led_to", "expected"), [(40.0, []), (30.0, ["gap"])])
+def test_the_time_in_which_kubernetes_led_nobody_to_the_discovery_server_is_not_counted(
+    led_to: float, expected: list[str]
+) -> None:
+    commands, commits = log(drive("a", 1, 10), drive("b", 45, 50)), [Commit(0.0, 1, ("a",)), Commit(45.0, 2, ("b",))]
+    more: dict[str, Any] = {"commits": commits, "recoveries": [recovery(10.5, 45.0)], "astray": [(9.0, led_to)]}
+    assert whats(judged(commands, KILLED, **more)) == expected
+
+
+@pytest.mark.parametrize(("server", "expected"), [("node1", []), ("node2", ["state lost"])])
+def test_an_instance_that_restarts_in_place_loses_state_until_its_monitor_can_discover_it(
+    server: str, expected: list[str]
+) -> None:
+    lost = replace(fault("node-power", 8.0, 14.0), told="node1")
+    commands = log(drive("a", 1, 10), drive("a", 22, 30))
+    steps = {c.sequence: 1000 + c.sequence if c.received <= 10 else c.sequence for c in commands}
+    more: Any = {"steps": steps, "monitors": [(0.0, "node1"), (13.0, "node3")], "commits": [Commit(0.0, 1, ("a",))]}
+    found = judged(commands, KILLED, lost, servers=[(0.0, server), (15.0, "node3")], **more)
+    assert [what for what in whats(found) if what == "state lost"] == expected
+
+
 @pytest.mark.parametrize(("lost", "expected"), [("node1", []), ("node2", ["state lost"])])
 def test_an_instance_that_restarts_in_place_while_no_monitor_watches_loses_state_until_one_does(
     lost: str, expected: list[str]
@@ -383,6 +413,15 @@ def test_what_an_instance_did_while_no_monitor_ran_is_kept_by_nobody(
     found = judged(commands, fault("kill", 62.02), steps=steps, unmonitored=[(30.0, next_monitor)], **more)
     assert [what for what in whats(found) if what == "state lost"] == expected
     assert found.unkept == ([pytest.approx(640, abs=1)] if next_monitor == 60.0 else [])
+
+
+def test_what_an_instance_did_while_its_monitor_was_frozen_is_kept_by_nobody() -> None:
+    commands = log(drive("a", 1, 62), drive("b", 63, 70))
+    steps = {c.sequence: c.sequence - (200 if c.source == "b" else 0) for c in commands}
+    more: Any = {"commits": [Commit(0.0, 1, ("a",)), Commit(62.9, 2, ("b",))], "recoveries": [recovery(62.5, 63.0)]}
+    killed, frozen = fault("kill", 62.02), fault("monitor-freeze", 50.0, 64.0, number=2)
+    assert whats(judged(commands, killed, steps=steps, **more)) == ["state lost"]
+    assert whats(judged(commands, killed, frozen, steps=steps, **more)) == []
 
 
 def test_what_an_instance_did_after_it_was_fenced_is_no_lost_state() -> None:
