@@ -76,6 +76,9 @@ async def recover(progress: Progress, choices: Sequence[Choice], context: Strate
     if progress.result == "Recovered":
         await retire(progress, context)
         return progress
+    state = context.gate.state
+    if progress.failed and progress.failed[0].uid == state.active_uid:
+        progress.open_at = state.epoch
     slow = SlowInstance(progress, context)
     try:
         await _try_in_order(progress, choices, context, slow)

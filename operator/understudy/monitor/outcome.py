@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.clock import CLOCK
-from understudy.failover.progress import Progress
+from understudy.failover.progress import PodIdentity, Progress
 
 Kind = Literal[
     "Recovered", "NothingVerified", "Superseded", "Stopped", "NoLongerNeeded", "SwitchedOver", "NotSwitchedOver"
@@ -33,6 +34,11 @@ class Outcome:
     def concluded(self) -> bool:
         """Whether the recovery was carried out to its end, so that the status lists it."""
         return self.kind not in ("Superseded", "Stopped", "NoLongerNeeded")
+
+    @property
+    def fenced(self) -> Sequence[PodIdentity]:
+        """The failed pods, if a commit had fenced them. The gate's record need not have them: somebody may have deleted the gate since."""
+        return self.progress.failed if {"fenced", "committed"} & self.progress.moments.keys() else ()
 
     @property
     def driven(self) -> bool:

@@ -13,7 +13,7 @@ import pytest
 from tests.support.golden import assert_golden
 from tests.unit.failover.recoveries import VERIFY_WITHIN, choices, failure, protected
 from tests.unit.failover.world import Killed, Store, World
-from understudy.failover.interfaces import GateState, Instance, Superseded
+from understudy.failover.interfaces import GateState, Instance, NoLongerNeeded, Superseded
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.protocol import recover
 from understudy.failover.strategies.base import Choice
@@ -50,6 +50,20 @@ async def test_a_claimed_pod_is_started_behind_a_closed_gate() -> None:
     assert store.commits == ["", "w-2"]
     assert store.claims == {"w-2": f"uid-w/{done.id}"}
     assert {"claimed", "fenced", "started", "ready", "routed", "verified"} <= set(done.moments)
+
+
+async def test_an_instance_that_was_silent_because_somebody_deleted_the_gate_is_not_deleted() -> None:
+    store = protected()
+    store.unlisted = store.watched = True
+    world = World(store)
+    recovering = asyncio.create_task(
+        recover(failure(world), choices(UninitializedFallback("spare"), Restart()), world.context())
+    )
+    await asyncio.sleep(VERIFY_WITHIN / 10)
+    store.gate = GateState(epoch=1)  # the operator created it again
+    with pytest.raises(NoLongerNeeded):
+        await recovering
+    assert store.deleted == []
 
 
 async def test_a_workload_that_loses_a_claim_claims_another_pod() -> None:

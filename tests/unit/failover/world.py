@@ -190,6 +190,8 @@ class _Gate(_Part):
 
     async def commit(self, target: Instance | None, progress: Progress | None) -> GateState:
         self.world.effect()
+        if progress is not None and self.state.closed and self.state.epoch == progress.open_at:
+            raise NoLongerNeeded("somebody deleted the gate")
         while self.store.away:
             self.store.unasked = False
             await asyncio.sleep(PERIOD)

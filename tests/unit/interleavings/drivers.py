@@ -67,6 +67,8 @@ class Drivers:
         self._clock, self._broken, self._heard, self._ends = clock, broken, heard, ends
         self._since: dict[str, float] = {}
         """By robot, since when there are two."""
+        self._endable: dict[str, float] = {}
+        """By UID, since when a cluster can end or fence an instance."""
         self._drives: dict[str, dict[str, list[Drive]]] = {}
         """By robot and UID."""
         self._recorded: set[str] = set()
@@ -135,6 +137,15 @@ class Drivers:
                 self._broken(f"{says.who} says that {robot} is Healthy, and {both} drive it for {lasts:.1f} s")
             if says.sole not in may_say and min(lasts, now - says.recovered_at) >= NOTICED:
                 self._broken(f"{says.who} says SoleDriver={says.sole}, and {both} drive {robot} for {lasts:.1f} s")
-            acts = now - max(since, says.acts_since)
-            if acts >= ENDED and any(self._ends(found) for found in self._heard(robot)):
-                self._broken(f"{both} drive {robot} for {acts:.1f} s, and {says.who} ends neither")
+            for found in self._heard(robot):
+                can_end = now - max(since, says.acts_since, self._endable_since(found))
+                if can_end >= ENDED:
+                    self._broken(f"{both} drive {robot} for {can_end:.1f} s, and {says.who} ends neither")
+                    break
+
+    def _endable_since(self, found: Running) -> float:
+        """Return since when a cluster can end or fence an instance; infinite if it cannot now."""
+        if not self._ends(found):
+            self._endable.pop(found.uid, None)
+            return math.inf
+        return self._endable.setdefault(found.uid, self._clock())

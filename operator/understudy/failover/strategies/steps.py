@@ -89,8 +89,9 @@ async def both(*work: Coroutine[Any, Any, object]) -> None:
 
 
 async def close(progress: Progress, context: StrategyContext) -> None:
-    """Close the gate, which fences every instance."""
-    if not context.gate.state.closed:
+    """Close the gate, which fences every instance. A gate that is closed without a commit is a new one: somebody deleted the former one."""
+    state = context.gate.state
+    if not state.closed or state.epoch == progress.open_at:
         await context.gate.commit(None, progress)
     progress.moments.setdefault("fenced", context.clock())
 

@@ -105,3 +105,6 @@ class ActStage:
         self.unattended.conclude(outcome)
         if outcome.concluded and outcome.kind != "NothingVerified":
             self.garbage.remember()
+        if outcome.kind in ("Superseded", "Stopped"):
+            for pod in outcome.fenced:
+                self.garbage.add(pod)

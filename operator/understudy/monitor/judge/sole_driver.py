@@ -110,12 +110,18 @@ def tracked(
         if sign.uid in let_through or not fenced.get(sign.uid, 0.0) < sign.last <= now or now - sign.last >= MEMORY:
             continue
         key = (sign.uid or sign.name, sign.via)
-        known = found.get(key)
+        known = found.get(key) or _as_stranger(found, sign)
         if known is None:
             found[key] = Track(sign, sign.last)
         else:
             found[key] = replace(known, sign=sign, gap=max(known.gap, sign.last - known.sign.last))
     return found
+
+
+def _as_stranger(tracks: dict[tuple[str, str], Track], sign: Sign) -> Track | None:
+    """Remove and return the track of an instance from the time when it was unknown, as a pod is that this monitor's watch has not shown."""
+    key = next((key for key, one in tracks.items() if sign.uid and one.sign.pod_uid == sign.uid), None)
+    return tracks.pop(key) if key is not None else None
 
 
 @dataclass(frozen=True)
@@ -185,6 +191,7 @@ class SoleDriver:
         self._through: frozenset[str] = frozenset()
         self._names: frozenset[str] = frozenset()
         """The names of those that the gate lets through: it selects pods by name."""
+        self._epoch = 0
         self._updated = 0.0
         self._steps = ClockSteps()
         self._listening_since = time.monotonic()
@@ -223,6 +230,11 @@ class SoleDriver:
             names = frozenset(name for name in (state.active, state.admitted) if name)
             # The successor of a pod that is gone may have its name, as in a StatefulSet, and was let through too.
             was_let_through = self._through | {i.uid for i in instances if i.name in self._names - names}
+            if (
+                state.epoch > self._epoch + 1
+            ):  # other monitors have switched the gate several times, and this one did not see for whom
+                was_let_through |= {pod.uid for pod in state.pinned}
+            self._epoch = state.epoch
             self._fenced |= dict.fromkeys(was_let_through - through, now)
             self._through, self._names = through, names
             known = {i.uid for i in instances} | {one.uid for one in self._outputs.known_senders()}

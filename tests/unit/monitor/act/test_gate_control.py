@@ -14,6 +14,7 @@ from tests.unit.monitor.cluster_objects import ClusterObjects
 from tests.unit.monitor.gates import gate as open_gate
 from understudy.api import names
 from understudy.failover import pinned
+from understudy.failover.abandoned import AbandonedRecovery
 from understudy.failover.interfaces import GateState, Instance, NoLongerNeeded, Superseded
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import NETWORK_POLICIES, ApiError, Object
@@ -260,15 +261,29 @@ async def test_a_commit_over_a_gate_that_was_written_meanwhile_is_repeated_at_on
     assert gate.state.closed
 
 
+@pytest.mark.parametrize("noticed", [True, False])
 async def test_an_instance_whose_gate_somebody_has_deleted_is_not_fenced_for_its_silence(
+    client: MemoryClient, found: ClusterView, tmp_path: Path, noticed: bool
+) -> None:
+    gate, progress = await open_gate(client, found, tmp_path, FAILED), recovery()
+    progress.open_at = 4
+    await client.delete(NETWORK_POLICIES, "fleet", "w-gate")
+    new = await client.create(NETWORK_POLICIES, "fleet", GATE.closed("w", epoch=4))
+    if noticed:
+        found.gates.put(new)
+    with pytest.raises(NoLongerNeeded, match="somebody deleted the gate"):
+        await gate.commit(STANDBY, progress)
+    assert (gate.state.closed, gate.state.epoch) == (True, 4)
+
+
+async def test_a_write_that_is_refused_shows_the_gate_although_the_watch_is_half_open(
     client: MemoryClient, found: ClusterView, tmp_path: Path
 ) -> None:
     gate = await open_gate(client, found, tmp_path, FAILED)
-    await client.delete(NETWORK_POLICIES, "fleet", "w-gate")
-    await client.create(NETWORK_POLICIES, "fleet", GATE.closed("w", epoch=4))
-    with pytest.raises(NoLongerNeeded, match="somebody deleted the gate"):
-        await gate.commit(STANDBY, recovery())
-    assert (gate.state.closed, gate.state.epoch) == (True, 4)
+    await by_another(client, found, STANDBY, noticed=False)
+    assert gate.record is not None
+    assert not await gate.overtake(gate.record, AbandonedRecovery(id="r", epoch=4, sent=""))
+    assert (gate.state.active, gate.state.epoch) == (STANDBY.name, 5)
 
 
 async def test_an_instance_that_drives_late_is_not_fenced_before_a_commit_is_answered(

@@ -11,15 +11,16 @@ from tests.support.clock import Clock
 from tests.unit.monitor.monitors import GivenMonitor
 from tests.unit.monitor.takeovers import policy, took_over
 from understudy.clock import CLOCK
-from understudy.failover.interfaces import GateState, Superseded
+from understudy.failover.interfaces import GateState, Instance, Superseded
 from understudy.failover.limits.backoff import FIRST as BACKOFF_FIRST
-from understudy.failover.progress import Progress
+from understudy.failover.progress import PodIdentity, Progress
 from understudy.monitor.decide import retry_backoff
 from understudy.monitor.judge import failure_detection
 from understudy.monitor.outcome import Kind, Outcome
 
 NOW = 1_000_000.0
 COMMITTED = NOW - 0.3
+STANDBY = Instance(name="w-2", uid="uid-2", pool="hot", running=True)
 
 
 class World:
@@ -33,6 +34,7 @@ class World:
         monitor.objects.put_policy(self.policy)
         monitor.objects.put_settings()
         monitor.objects.put_gate(GateState(epoch=4, active="w-1", active_uid="uid-1"))
+        self.objects, self.garbage = monitor.objects, loop.act.garbage
         self.conclude, self.limits = loop.conclude, loop.decide.limits
         self.detector, self.unattended = loop.judge.detector, loop.act.unattended
         self.unattended.conclude(Outcome("NothingVerified", over("Failed")))
@@ -95,6 +97,18 @@ def test_after_a_superseded_recovery_the_active_instance_is_watched_at_once(tmp_
     world.end("Superseded", error=Superseded("the gate is at epoch 9"))
     assert (world.detector.since, world.waits(), world.unattended.since) == (NOW, 0.0, None)
     assert world.notices.conditions["Recovering"][1] == "Superseded"
+
+
+@pytest.mark.parametrize("has_fenced", [True, False])
+def test_a_pod_that_a_superseded_recovery_had_fenced_counts_as_failed(tmp_path: Path, has_fenced: bool) -> None:
+    # Somebody may have deleted the gate, and with it the record of that.
+    world = World(tmp_path)
+    progress = over("Running")
+    progress.failed = [PodIdentity(name=STANDBY.name, uid=STANDBY.uid)]
+    progress.moments = {"committed": NOW} if has_fenced else {}
+    world.objects.put_pods(STANDBY)
+    world.conclude(Outcome("Superseded", progress, None, Superseded("the gate admits no pod")))
+    assert [pod.name for pod in world.garbage.failed()] == ([STANDBY.name] if has_fenced else [])
 
 
 def test_after_an_error_of_the_api_server_the_recovery_is_retried_soon(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from tests.support.clock import set_clock
 from tests.unit.monitor.cluster_objects import ClusterObjects
 from tests.unit.monitor.senses import GivenObserver
 from understudy.failover.interfaces import GateState, Instance
+from understudy.failover.pinned import PinnedPod
 from understudy.monitor.judge.sole_driver import (
     LASTS,
     MEMORY,
@@ -185,6 +186,28 @@ def test_probes_of_a_pod_that_is_no_known_instance_are_a_possible_second_driver(
     watched.listen(probes=True, uid="uid-stray")
     assert watched.condition[:2] == ("Unknown", "UnknownSender")
     assert "uid-stray" in watched.condition[2]
+
+
+def test_an_instance_for_which_another_monitor_opened_the_gate_meanwhile_was_no_leak() -> None:
+    watched = Watched()
+    watched.instances = (*watched.instances, Instance(name="w-3", uid="uid-w-3"))
+    watched.listen(topic="/cmd_vel", name="w-3", uid="uid-w-3")
+    assert watched.condition[0] == "False", "as this monitor knows the gate"
+    pinned = (PinnedPod(name="w-4", uid="uid-w-4", ip=""), PinnedPod(name="w-3", uid="uid-w-3", ip=""))
+    watched.objects.put_gate(GateState(epoch=6, active="w-4", active_uid="uid-w-4", pinned=pinned))
+    watched.update()
+    assert (watched.condition[0], watched.judged.leaks) == ("True", ())
+    watched.listen(topic="/cmd_vel", name="w-3", uid="uid-w-3")
+    assert watched.condition[0] == "False", "it goes on"
+
+
+def test_a_leak_counts_from_when_its_pod_was_unknown() -> None:
+    watched = Watched()
+    watched.listen(probes=True, uid="uid-w-3")
+    watched.instances = (*watched.instances, Instance(name="w-3", uid="uid-w-3"))  # the watch shows it
+    watched.objects.packets["uid-w-3"] = watched.now + PERIOD
+    watched.update(2 * PERIOD)
+    assert watched.condition[:2] == ("False", "SeveralDrivers")
 
 
 def test_a_sender_that_may_be_the_active_instance_does_not_count() -> None:

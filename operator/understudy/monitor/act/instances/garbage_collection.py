@@ -47,7 +47,7 @@ class GarbageCollection:
             self._failed |= {pod.uid: pod for pod in recovery.replaced}
 
     def add(self, pod: PodIdentity) -> None:
-        """Add a pod that was prepared and is not needed."""
+        """Add a pod that failed, or that was prepared and is not needed."""
         self._failed[pod.uid] = pod
 
     def failed(self) -> list[PodIdentity]:

@@ -165,9 +165,6 @@ class GateControl:
             ):  # the commit may have been carried out: first it is known
                 await asyncio.sleep(retry)
                 read = await self._reread(previous, uid, recovery)
-            is_new = read is not None and read.epoch == previous.epoch and not read.active
-            if is_new and progress is not None and self._fences_first(previous, progress):
-                raise NoLongerNeeded(f"somebody deleted the gate, and {previous.active} could not reach the robot then")
             record = read or record
             if record.epoch > previous.epoch:
                 self._own = (self._own[0], record.epoch, recovery)
@@ -240,7 +237,12 @@ class GateControl:
         return pinned.write(pods) if pods else ""
 
     def _still_needed(self, record: GateRecord, progress: Progress | None) -> None:
-        """Raise NoLongerNeeded if a recovery would begin by fencing an instance that is healthy again, or fence one that drives late."""
+        """Raise NoLongerNeeded if a recovery would begin by fencing an instance that is healthy again, or that was silent because somebody
+        deleted the gate, or if it would fence one that drives late."""
+        if progress is not None and not record.active and record.epoch == progress.open_at:
+            raise NoLongerNeeded(
+                f"somebody deleted the gate, and {progress.failed[0].name} could not reach the robot then"
+            )
         if _admits_late(record, progress):
             raise NoLongerNeeded(f"{record.active} drives by now, and was not fenced yet")
         if progress is not None and progress.healthy_again and self._fences_first(record, progress):
@@ -354,27 +356,38 @@ class GateControl:
 
     async def _write_once(self, patch: Object) -> None:
         """Write to the gate, and note the gate that the API server answers with. Raises one of FAILURES."""
-        async with asyncio.timeout(TRY_WITHIN):
-            gate = await self._kind.write(self._client, self._view.namespace, self._view.workload, patch)
+        try:
+            async with asyncio.timeout(TRY_WITHIN):
+                gate = await self._kind.write(self._client, self._view.namespace, self._view.workload, patch)
+        except ApiError as error:
+            if error.conflict:  # the watch may be half-open, so that the record stays the old one
+                await self._read_again()
+            raise
         self._view.gates.put(gate)
+
+    async def _read_again(self) -> Object | None:
+        """Read the gate, and note it. Returns None if it cannot be read."""
+        try:
+            async with asyncio.timeout(TRY_WITHIN):
+                gate = await self._client.get(
+                    self._kind.resource, self._view.namespace, names.gate(self._view.workload)
+                )
+        except FAILURES:
+            return None
+        self._view.gates.put(gate)
+        return gate
 
     async def _reread(self, previous: GateRecord, uid: str, recovery: str) -> GateRecord | None:
         """Read the gate after a refused or unanswered commit, which may have been carried out. Returns None if the gate
         cannot be read; raises Superseded if another writer has changed it."""
-        name = names.gate(self._view.workload)
-        try:
-            async with asyncio.timeout(TRY_WITHIN):
-                gate = await self._client.get(self._kind.resource, self._view.namespace, name)
-        except FAILURES:
+        if (gate := await self._read_again()) is None:
             return None
         record = GateRecord.of(gate)
         ours = record.epoch == previous.epoch + 1 and record.active_uid == uid and record.recovery == recovery
         if record.epoch != previous.epoch and not ours:
-            self._view.gates.put(gate)
             raise Superseded(
                 f"another process changed the gate to epoch {record.epoch}; this monitor knew epoch {previous.epoch}"
             )
-        self._view.gates.put(gate)
         return record
 
     async def lets_through(self, instance: Instance) -> bool:
