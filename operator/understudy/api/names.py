@@ -66,6 +66,8 @@ LET_THROUGH = f"{GROUP}/let-through"
 RECOVERY = f"{GROUP}/recovery"
 """Annotation of the gate: the recovery that committed it, as JSON, so that a new monitor can complete it."""
 
+SERVER = f"{GROUP}/server"
+"""Annotation of a discovery server's Service: the UID of the server's pod and its age (understudy.controller.desired.discovery_server)."""
 BESIDE = f"{GROUP}/beside"
 """Annotation of a discovery server's pod: the UID of its predecessor's pod, whose process may have lived beside it on a lost node."""
 

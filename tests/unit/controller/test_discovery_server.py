@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import copy
+from datetime import UTC, datetime
 
 import pytest
 
-from tests.unit.controller.world import World, hot, pod, policy, workload
+from tests.unit.controller.world import World, applied, hot, pod, policy, workload
 from understudy.api import names
 from understudy.controller.plan import Delete, Patch
 from understudy.kube.client import EVICTION, Object
@@ -50,6 +51,25 @@ def test_a_server_beside_one_on_a_lost_node_is_replaced_once_that_one_is_gone(wo
     assert writes(world) == [], "it may still live on"
     world.discovery = [marked(successor, "uid-w-discovery-1")]
     assert writes(world) == [("Delete", "w-discovery-2")]
+
+
+def test_the_service_is_written_again_at_intervals_after_a_new_server_is_ready(world: World) -> None:
+    def service(age: float, *servers: Object) -> tuple[str | None, float | None]:
+        for server in servers:
+            server["metadata"]["creationTimestamp"] = datetime.fromtimestamp(world.now - age, UTC).isoformat()
+        world.discovery = list(servers)
+        plan = world.plan()
+        found = applied(plan, "services")["w-discovery"]["metadata"].get("annotations") or {}
+        return found.get(names.SERVER), plan.again_after
+
+    first = pod("w-discovery-1")
+    assert service(4.0, first) == ("uid-w-discovery-1/0s", pytest.approx(6.0))
+    assert service(12.0, first) == ("uid-w-discovery-1/10s", pytest.approx(18.0))
+    assert service(1000.0, first) == ("uid-w-discovery-1/90s", None)
+    world.build()
+    not_ready = pod("w-discovery-2", ready=False)
+    assert service(1.0, not_ready) == ("uid-w-discovery-1/90s", None), "it is not written for that"
+    assert service(1.0, pod("w-discovery-2"))[0] == "uid-w-discovery-2/0s"
 
 
 def test_a_server_whose_predecessor_was_deleted_otherwise_stays(world: World) -> None:

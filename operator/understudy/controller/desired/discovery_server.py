@@ -32,8 +32,33 @@ def _labels(workload: str) -> dict[str, str]:
     return {names.COMPONENT: "discovery", names.MONITORED: workload}
 
 
-def service(workload: str, address: str | None = None) -> Object:
-    """Return the Service. ``address`` is a former address to request again, because running processes know no other."""
+REMINDERS = (10, 30, 90)
+"""Ages of a server, in seconds, at which its Service is written again.
+
+After several outages of the API server in a row, Kubernetes gives up on the endpoints of a Service ("Retry budget exceeded, dropping
+service out of the queue"). Processes that start then discover nobody, until an event brings the Service back into the queue.
+"""
+
+
+def reminder(pods: Sequence[Object], before: Object | None, now: float) -> tuple[str, float | None]:
+    """Return the annotation with which the Service is written, and in how many seconds it is due to change; None if it is not.
+
+    It is that of the newest server that is ready, or that of the Service ``before`` if none is.
+    """
+    servers = sorted(filter(kube_objects.ready, pods), key=kube_objects.sort_key)
+    if not servers:
+        return kube_objects.notes(before or {"metadata": {}}).get(names.SERVER, ""), None
+    age = now - kube_objects.created(servers[-1])
+    passed = [seconds for seconds in REMINDERS if seconds <= age]
+    left = [seconds - age for seconds in REMINDERS if seconds > age]
+    return f"{kube_objects.uid(servers[-1])}/{max(passed, default=0)}s", min(left, default=None)
+
+
+def service(workload: str, address: str | None = None, *, server: str = "") -> Object:
+    """Return the Service. ``address`` is a former address to request again, because running processes know no other.
+
+    ``server`` is its annotation (see :func:`reminder`).
+    """
     spec: Object = {
         "selector": _labels(workload),
         "ports": [{"name": name, "protocol": "UDP", "port": port, "targetPort": port} for name, port in _PORTS.items()],
@@ -43,7 +68,11 @@ def service(workload: str, address: str | None = None) -> Object:
     return {
         "apiVersion": "v1",
         "kind": "Service",
-        "metadata": {"name": names.discovery(workload), "labels": _labels(workload)},
+        "metadata": {
+            "name": names.discovery(workload),
+            "labels": _labels(workload),
+            **({"annotations": {names.SERVER: server}} if server else {}),
+        },
         "spec": spec,
     }
 

@@ -107,7 +107,10 @@ def _discover(made: Plan, observed: Observed, spec: RobotWorkloadSpec, images: I
     service = observed.owned.get(("services", names.discovery(name)))
     remembered = None if service else _remembered_address(observed)
     own_images = replace(images, monitor=spec.monitor.image or images.monitor)
-    made.writes.append(_ours(observed, SERVICES, discovery_server.service(name, remembered)))
+    server, changes_after = discovery_server.reminder(observed.discovery, service, observed.now)
+    if changes_after is not None:
+        made.later(changes_after)
+    made.writes.append(_ours(observed, SERVICES, discovery_server.service(name, remembered, server=server)))
     if (address := discovery_server.address(service) or remembered) is not None:
         made.writes.append(_ours(observed, DEPLOYMENTS, discovery_server.deployment(name, own_images, address)))
         made.writes += discovery_server.replacements(observed.discovery)

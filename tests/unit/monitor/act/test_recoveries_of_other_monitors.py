@@ -5,14 +5,17 @@ The monitor is the older one of two. The newer one has driven the robot to its e
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 from pathlib import Path
 
+import aiohttp
 import pytest
 
 from tests.support.clock import Clock
 from tests.unit.kube.memory import MemoryClient
 from tests.unit.monitor.abandoned_recoveries import STANDBY, THIRD, Monitor, monitor_of, started_recovery, written
-from understudy.failover.interfaces import Superseded
+from understudy.failover.interfaces import Instance, Superseded
 from understudy.failover.progress import LASTS, PodIdentity, beside
 from understudy.kube.gates.base import GateRecord
 from understudy.monitor.act.recovery import abandonment
@@ -107,6 +110,26 @@ async def test_a_monitor_commits_nothing_to_a_recovery_that_another_one_has_take
         await monitor.gate.commit(STANDBY, progress)
     await other.gate.commit(STANDBY, mine)
     assert GateRecord.of(other.policy).active == STANDBY.name
+
+
+@pytest.mark.parametrize("opened_for", [None, STANDBY])
+async def test_a_commit_of_a_former_process_that_the_api_server_carried_out_late_counts_as_own(
+    monitor: Monitor, tmp_path: Path, opened_for: Instance | None
+) -> None:
+    me = PodIdentity(name="m-1", uid="uid-m1")
+    progress = started_recovery().model_copy(update={"monitor": me})
+    successor = monitor.successor(tmp_path / "elsewhere")  # the next process of the pod
+    again = progress.model_copy(update={"cursor": progress.cursor + 1.0})
+    successor.client.failing = lambda method, name: aiohttp.ClientConnectionError("unreachable")
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(0.05):
+            await successor.gate.commit(None, again)
+    successor.client.failing = lambda method, name: None
+    await monitor.gate.commit(opened_for, progress)
+    successor.watch()
+    assert await successor.gate.take_over(again)
+    await successor.gate.commit(THIRD, again)
+    assert GateRecord.of(successor.policy).active == THIRD.name
 
 
 async def test_a_recovery_for_which_the_gate_is_open_is_not_taken_over(later: Monitor, monitor: Monitor) -> None:

@@ -187,9 +187,15 @@ class GateControl:
         nothing if the record names this monitor, or another recovery. Raises what :meth:`commit` raises, except Superseded.
         """
         record, found = self.record, self.state.recovery
-        if record is None or record.active or found is None or found.id != progress.id:
+        if record is None or found is None or found.id != progress.id:
             return True
         if found.monitor == progress.monitor:
+            if (
+                found.epoch == record.epoch
+            ):  # also if a former process of this pod committed it, and the API server was late
+                self._own = (progress.id, record.epoch, record.recovery)
+            return True
+        if record.active:
             return True
         # This monitor may have carried it out before that other one did.
         self._own = (progress.id, record.epoch, record.recovery)
