@@ -244,12 +244,12 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
         near = tuple(one.fault.number for one in theirs if one.overlaps(begin, at))
         found.violations.append(Violation(what, seen.name, at, text, near))
 
-    # Nobody restores a gate while no operator leads.
-    tampered = [
-        (one.begun, max([one.ended, *(b for a, b in seen.unled if a <= one.ended <= b)]))
-        for one in theirs
-        if one.fault.kind in TAMPERED
-    ]
+    def repairable(one: Injected) -> float:
+        """Return when somebody can undo it: only an operator that leads restores what was deleted."""
+        unled = [b for a, b in seen.unled if a <= one.ended <= b and one.fault.kind == "gate-delete"]
+        return max([one.ended, *unled])
+
+    tampered = [(one.begun, repairable(one)) for one in theirs if one.fault.kind in TAMPERED]
 
     def undone(begin: float, end: float) -> bool:
         done = [last for first, last in tampered if first <= begin + LAG and end <= last + REPAIR]
@@ -495,10 +495,9 @@ def gaps(
         waits = [one.waiting for one in injected if BY_NAME[one.fault.kind].delays]
         waits += unrepaired(seen, injected, a.received, b.received)
         nobodys = [*unwatched(seen, injected), *evicted(seen, injected)]
-        nobodys += [(first, last + LISTENS) for first, last in seen.astray]
         tried = [one["strategy"] for recovery in found for one in recovery.attempts if one["result"] != "NotAvailable"]
         if not found or {"Restart", "Fallback/Uninitialized"} & set(tried):
-            nobodys += seen.unstarted
+            nobodys += [*seen.unstarted, *((first, last + LISTENS) for first, last in seen.astray)]
         explained = covered([*waits, *leaked, *nobodys], a.received, b.received)
         allowed = seen.timeout + SWITCH + sum(_allowed(recovery) for recovery in found)
         strategy = max(found, key=_allowed).strategy if found else ""
@@ -520,7 +519,8 @@ def unwatched(seen: Seen, injected: Sequence[Injected]) -> Iterator[tuple[float,
             back = next((ready for ready, _ in seen.monitors if ready > lost.begun), math.inf)
             servers = [node for ready, node in seen.servers if ready <= lost.begun]
             if servers and servers[-1] == lost.told:
-                server = next((ready for ready, _ in seen.servers if ready > lost.begun), math.inf)
+                # After a short cut, Kubernetes may not have taken it for unready.
+                server = next((ready for ready, _ in seen.servers if ready > lost.begun), lost.ended)
                 back = max(back, server + SERVER_STARTS)
             yield lost.begun, back + LISTENS
 

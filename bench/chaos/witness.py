@@ -261,10 +261,14 @@ class Witness:
         for item in self._kubectl.list("endpointslices"):
             service = (item["metadata"].get("labels") or {}).get("kubernetes.io/service-name", "")
             led.setdefault(service, set()).update(a for one in item.get("endpoints") or [] for a in one["addresses"])
+        services = {item["metadata"]["name"]: item["spec"].get("selector") for item in self._kubectl.list("services")}
         now = time.time()
         for workload, servers in self._servers.items():
             ready = [pod for pod in self.parts(workload, "discovery") if pod.ready_since]
             servers |= {pod.ready_since: pod.node for pod in ready}
+            # A Service that is missing or selects something else is not Kubernetes' fault.
+            selector = services.get(names.discovery(workload)) or {"": ""}
+            ready = [pod for pod in ready if selector.items() <= pod.labels.items()]
             if not ready or led.get(names.discovery(workload), set()) & {pod.address for pod in ready}:
                 self._is_astray.discard(workload)
                 continue

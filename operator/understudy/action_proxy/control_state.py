@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from understudy.api.protocol.agent_messages import GateEpoch
+
 
 @dataclass(frozen=True)
 class TaskRule:
@@ -48,6 +50,11 @@ class ControlState:
     peers: tuple[Peer, ...] = ()
     workload_uid: str = ""
     """UID of the RobotWorkload."""
+
+    @property
+    def gate(self) -> GateEpoch:
+        """The epoch of the workload's gate, as the monitor knows it."""
+        return GateEpoch(self.workload_uid, self.epoch)
 
     def to_wire(self) -> dict[str, Any]:
         """Return the state as one JSON object."""

@@ -1,10 +1,14 @@
-"""A file with the state that the task proxy needs after a restart of its container, or in another pod that has the same volume."""
+"""Files with the state that the task proxy needs after a restart of its container, or in another pod that has the same volume."""
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import json
 import logging
 import os
+import secrets
+import threading
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -15,26 +19,39 @@ from understudy.clock import CLOCK
 
 _logger = logging.getLogger(__name__)
 
+FETCHED_WITHIN = 5.0
+"""Seconds that the volume of the copy has to answer at the start of a proxy."""
+
 
 class GoalJournal:
-    """One file, replaced atomically, and synced: its volume may outlive the node."""
+    """One file in the pod, replaced atomically. It is not synced: it guards against a killed process, not against a lost node."""
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    def __init__(self, path: Path, copy: LastingCopy | None = None) -> None:
+        self._path, self._copy = path, copy
         self._last = ""
+
+    async def fetch(self) -> None:
+        """Take the copy of an earlier pod, if this pod has no journal of its own yet."""
+        if self._copy is None or self._path.exists():
+            return
+        try:
+            async with asyncio.timeout(FETCHED_WITHIN):
+                text = await asyncio.to_thread(self._copy.read)
+        except (OSError, ValueError, TimeoutError) as error:
+            _logger.error("the goals of an earlier pod cannot be read, continuing without them: %r", error)
+            return
+        if text:
+            _replace(self._path, text)
 
     def save(self, ledger: GoalLedger, rules: Sequence[TaskRule]) -> None:
         """Store the goals and the tasks, if they differ from what was stored last. Raises OSError."""
         text = json.dumps({"ledger": ledger.to_wire(), "rules": [asdict(rule) for rule in rules]})
         if text == self._last:
             return
-        temporary = self._path.with_suffix(".new")
-        with open(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, self._path)
+        _replace(self._path, text)
         self._last = text
+        if self._copy is not None:
+            self._copy.offer(text)
 
     def load(self) -> tuple[GoalLedger, tuple[TaskRule, ...]]:
         """Return what was stored; blank if nothing was.
@@ -51,3 +68,54 @@ class GoalJournal:
             if self._path.exists():
                 self._path.replace(self._path.with_suffix(".damaged"))
             return GoalLedger(), ()
+
+
+class LastingCopy:
+    """The copy of a journal on a volume that may outlive the pod.
+
+    A thread writes it, because such a volume may be slow, or hang together with its server. The newest text counts.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._newest = ""
+        self._wake = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def read(self) -> str:
+        """Return the text; empty if there is none. Raises OSError."""
+        with contextlib.suppress(FileNotFoundError):
+            return self._path.read_text()
+        return ""
+
+    def offer(self, text: str) -> None:
+        """Write a text soon. Returns at once."""
+        self._newest = text
+        self._wake.set()
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._run, name="copy of the goals", daemon=True)
+            self._thread.start()
+
+    def _run(self) -> None:
+        while True:
+            self._wake.wait()
+            self._wake.clear()
+            try:
+                self._path.parent.mkdir(parents=True, exist_ok=True)
+                _replace(self._path, self._newest, synced=True)
+            except OSError as error:
+                _logger.error("could not copy the goals to %s, so they are lost with this pod: %s", self._path, error)
+
+
+def _replace(path: Path, text: str, *, synced: bool = False) -> None:
+    temporary = path.with_name(f"{path.name}.{secrets.token_hex(4)}.new")  # two pods may share the volume for a while
+    try:
+        with open(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w") as file:
+            file.write(text)
+            if synced:
+                file.flush()
+                os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise

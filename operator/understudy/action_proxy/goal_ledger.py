@@ -119,6 +119,8 @@ class GoalLedger:
 
     def __init__(self) -> None:
         self.situation: ControlState | None = None
+        self._workload = ""
+        """UID of the RobotWorkload whose goals they are; empty before it is known."""
         """None until the monitor has reported the state of control. Until then no decision is made."""
         self.goals: dict[str, Goal] = {}
         self.resent: dict[str, int] = {}
@@ -245,6 +247,11 @@ class GoalLedger:
         before = self.situation
         if before is not None and situation.epoch < before.epoch:
             return
+        if self._workload and situation.workload_uid not in ("", self._workload):
+            # Of a deleted workload with this name, on a volume that outlived it. No robot may move because of its goals.
+            self._cancels.clear()
+            self.goals.clear()
+        self._workload = situation.workload_uid or self._workload
         self.situation = situation
         if before is not None and before.active and before.active != situation.active:
             self._former.add(before.active)
@@ -317,6 +324,7 @@ class GoalLedger:
     def to_wire(self) -> dict[str, Any]:
         """Return the whole ledger as one JSON object."""
         return {
+            "workload": self._workload,
             "goals": [goal.to_wire() for goal in self._in_order()],
             "resent": self.resent,
             "former": sorted(self._former),
@@ -341,6 +349,7 @@ class GoalLedger:
         Raises KeyError, TypeError and ValueError if it is invalid.
         """
         made = cls()
+        made._workload = str(data.get("workload", ""))
         made.goals = {goal.id: goal for goal in (Goal.from_wire(one, now) for one in data["goals"])}
         made.resent = dict(data["resent"])
         made._former, made._invited = set(data["former"]), set(data["invited"])

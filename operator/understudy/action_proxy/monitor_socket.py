@@ -29,6 +29,10 @@ class MonitorSocket:
         self._on_situation, self._report = on_situation, report
         self._writers: set[asyncio.StreamWriter] = set()
 
+    def hand_over(self, on_situation: Callable[[ControlState], None], report: Callable[[], Mapping[str, Any]]) -> None:
+        """Pass the states of control to another receiver, which also gives the report from now on."""
+        self._on_situation, self._report = on_situation, report
+
     async def listen(self, path: Path) -> asyncio.Server:
         """Listen at a path. Raises OSError, also if the file exists already."""
         return await asyncio.start_unix_server(self._connected, path, limit=MOST)

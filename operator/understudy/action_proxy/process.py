@@ -8,11 +8,13 @@ import os
 import re
 import signal
 import sys
+from collections import deque
 from collections.abc import Coroutine
 from pathlib import Path
 from typing import Any
 
-from understudy.action_proxy.goal_journal import GoalJournal
+from understudy.action_proxy.control_state import ControlState
+from understudy.action_proxy.goal_journal import GoalJournal, LastingCopy
 from understudy.action_proxy.monitor_socket import MonitorSocket
 from understudy.action_proxy.proxy import Proxy
 from understudy.action_proxy.succession import OtherProxies
@@ -48,8 +50,7 @@ def main(argv: list[str]) -> int:
         )
         return 2
     state = Path(os.environ.get("UNDERSTUDY_STATE", STATE))
-    for folder in (state / OWN, state / LASTING):
-        folder.mkdir(parents=True, exist_ok=True)
+    (state / OWN).mkdir(parents=True, exist_ok=True)
     socket = Path(os.environ.get("UNDERSTUDY_TASKS_SOCKET", f"{names.TASKS_DIR}/{names.TASKS_SOCKET}"))
     socket.unlink(missing_ok=True)  # left by an earlier proxy
     port = int(os.environ.get("UNDERSTUDY_TASKS_PORT", names.TASKS_PORT))
@@ -73,15 +74,21 @@ async def _run(namespace: str, workload: str, state: Path, socket: Path, port: i
     page = await http_pages.serve({"/healthz": lambda: health(served.silent_for)}, port)
     others = OtherProxies(served, re.sub(_NOT_IN_NAMES, "_", f"{namespace}__{workload}"), state / OWN)
     stopping = asyncio.create_task(stop_requested.wait())
-    if await _done_before(stopping, others.until_serving()):
-        proxy = Proxy(served, GoalJournal(state / LASTING / "goals.json"))
-        talk = MonitorSocket(proxy.place, proxy.report)
+    reported: deque[ControlState] = deque(maxlen=1)
+    talk = MonitorSocket(reported.append, lambda: {"tasks": [], "epoch": None})
+    server = await talk.listen(socket)
+    if await _done_before(stopping, others.until_serving(lambda: reported[-1].gate if reported else None)):
+        journal = GoalJournal(state / OWN / "goals.json", LastingCopy(state / LASTING / "goals.json"))
+        await journal.fetch()
+        proxy = Proxy(served, journal)
         proxy.on_report = talk.send_state
-        server = await talk.listen(socket)
+        talk.hand_over(proxy.place, proxy.report)
+        if reported:
+            proxy.place(reported[-1])
         _logger.info("task proxy of %s", workload)
         await _done_before(stopping, others.until_replaced(proxy.serving_at))
-        server.close()
         await proxy.close()
+    server.close()
     page.close()
     await served.close()
     _logger.info("ended")

@@ -117,13 +117,12 @@ class Proxy:
     def epoch(self) -> GateEpoch:
         """Return the epoch of the gate as the monitor reported it last."""
         situation = self._ledger.situation
-        return GateEpoch(situation.workload_uid, situation.epoch) if situation is not None else GateEpoch()
+        return situation.gate if situation is not None else GateEpoch()
 
-    def serving_at(self) -> int | None:
+    def serving_at(self) -> GateEpoch | None:
         """Return the epoch of the gate once all tasks are served; None before, and if the monitor has reported none."""
-        situation = self._ledger.situation
         is_serving = all(served.server is not None or served.problem for served in self._served.values())
-        return situation.epoch if situation is not None and is_serving else None
+        return self.epoch() if self._ledger.situation is not None and is_serving else None
 
     # -- reports of instances ----------------------------------------------------------------------------------------
 

@@ -5,7 +5,8 @@ actions. A client takes the first answer, and the replaced proxy may answer that
 Neither Kubernetes nor the operator can end a process on a node that they cannot reach. So the proxies of a workload announce themselves to
 each other in the ROS graph, where their clients are too, and each one ends that another one replaces.
 
-A proxy that was replaced starts again, and serves once it has heard no other one for a while: the other one may have been removed.
+A proxy that was replaced starts again, and serves once it has heard none for a while that replaces it: the other one may have been removed,
+or the own monitor has learned of a later switch.
 """
 
 from __future__ import annotations
@@ -18,9 +19,10 @@ import secrets
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
+from understudy.api.protocol.agent_messages import GateEpoch
 from understudy.ros.runtime.served_node import ServedNode
 from understudy.ros.runtime.text_topic import TextTopic
 
@@ -34,7 +36,10 @@ REPLACED_AFTER = 3
 learn the new epoch at different times."""
 
 GONE_AFTER = 5.0
-"""Seconds without an announcement of another proxy after which a replaced proxy serves again."""
+"""Seconds without an announcement of a proxy that replaces it after which a replaced proxy serves again."""
+
+OLD = 1e7
+"""The age in seconds of a pod whose node has booted since. Such a pod is rather the one that was replaced."""
 
 _SAME_AGE = 1.0
 """Seconds that two equal ages may seem to differ because of the network."""
@@ -44,55 +49,56 @@ _SAME_AGE = 1.0
 class Announcement:
     """One proxy, as it announces itself."""
 
-    epoch: int
-    """Of the gate, as the proxy's monitor reported it last."""
+    gate: GateEpoch
+    """As the proxy's monitor reported it last."""
     age: float
     """Seconds since the pod's first proxy started. It is no time of day, because the clocks of two nodes may differ."""
     pod: str
     """Identifies the pod."""
 
     def replaces(self, other: Announcement) -> bool:
-        """Whether the other proxy ends: this one knows a later switch, or both know the same one and this one's pod is newer."""
-        if self.epoch != other.epoch:
-            return self.epoch > other.epoch
+        """Whether the other proxy ends: this one knows a later switch of the same gate, or else this one's pod is newer."""
+        if self.gate.workload_uid == other.gate.workload_uid and self.gate.number != other.gate.number:
+            return self.gate.number > other.gate.number
         if abs(self.age - other.age) > _SAME_AGE:
             return self.age < other.age
         return self.pod > other.pod
 
     def to_wire(self) -> str:
         """Return the announcement as JSON."""
-        return json.dumps(astuple(self))
+        return json.dumps([self.gate.workload_uid, self.gate.number, self.age, self.pod])
 
     @classmethod
     def from_wire(cls, text: str) -> Announcement:
         """Read the JSON. Raises ValueError if it is invalid."""
         match json.loads(text):
-            case [int(epoch), float(age), str(pod)]:
-                return cls(epoch, age, pod)
+            case [str(workload), int(number), float(age), str(pod)]:
+                return cls(GateEpoch(workload, number), age, pod)
         raise ValueError(f"not an announcement of an action proxy: {text[:80]}")
 
 
 class Succession:
-    """What one proxy knows of the others. Times are monotonic seconds, which all containers of a node share."""
+    """What one proxy knows of the others. Times are seconds since the node booted."""
 
-    def __init__(self, folder: Path, now: float) -> None:
-        """``folder`` lasts as long as the pod."""
+    def __init__(self, folder: Path, now: float, boot: str) -> None:
+        """``folder`` lasts as long as the pod; ``boot`` identifies the boot of the node."""
         self._mark = folder / "replaced"
-        self._pod, self._started = _identity(folder / "pod.json", now)
+        self._pod, self._started = _identity(folder / "pod.json", now, boot)
         self._heard = now
         self._greater: Counter[str] = Counter()
 
-    def own(self, epoch: int, now: float) -> Announcement:
+    def own(self, gate: GateEpoch, now: float) -> Announcement:
         """Return the announcement of this proxy."""
-        return Announcement(epoch, max(0.0, now - self._started), self._pod)
+        return Announcement(gate, max(0.0, now - self._started), self._pod)
 
-    def hear(self, other: Announcement, epoch: int | None, now: float) -> None:
-        """Note an announcement. ``epoch`` is the own one; None if the monitor has reported none, so that only the age counts."""
+    def hear(self, other: Announcement, gate: GateEpoch | None, now: float) -> None:
+        """Note an announcement. ``gate`` is what the own monitor reported; None if it has not, so that only the age counts."""
         if other.pod == self._pod:
             return
-        self._heard = now
-        is_greater = other.replaces(self.own(other.epoch if epoch is None else epoch, now))
+        is_greater = other.replaces(self.own(other.gate if gate is None else gate, now))
         self._greater[other.pod] = self._greater[other.pod] + 1 if is_greater else 0
+        if is_greater:
+            self._heard = now
 
     @property
     def is_replaced(self) -> bool:
@@ -100,7 +106,7 @@ class Succession:
         return max(self._greater.values(), default=0) >= REPLACED_AFTER
 
     def may_serve(self, now: float) -> bool:
-        """Whether no proxy of this pod was replaced, or no other proxy was heard for a while."""
+        """Whether no proxy of this pod was replaced, or none that replaces it was heard for a while."""
         return not self._mark.exists() or now - self._heard >= GONE_AFTER
 
     def end(self) -> None:
@@ -115,16 +121,28 @@ class Succession:
             self._mark.unlink(missing_ok=True)
 
 
-def _identity(path: Path, now: float) -> tuple[str, float]:
-    """Return the identity of the pod, and when its first proxy started. That proxy draws it."""
+def _identity(path: Path, now: float, boot: str) -> tuple[str, float]:
+    """Return the identity of the pod, which its first proxy draws, and when that proxy started: long ago if the node has booted since."""
+    pod, started = secrets.token_hex(8), now
     with contextlib.suppress(OSError, ValueError):
         match json.loads(path.read_text()):
-            case [str(pod), float(started)]:
-                return pod, started
-    drawn = secrets.token_hex(8), now
+            case [str(known), float(since), str(then)]:
+                pod, started = known, since if then == boot else now - OLD
     with contextlib.suppress(OSError):  # the next process then counts as that of a newer pod
-        path.write_text(json.dumps(drawn))
-    return drawn
+        path.write_text(json.dumps([pod, started, boot]))
+    return pod, started
+
+
+def _since_boot() -> float:
+    """Return seconds since the node booted, with the time in which it slept. All containers of a node have the same."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME)
+
+
+def _boot() -> str:
+    try:
+        return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+    except OSError:
+        return ""
 
 
 class OtherProxies:
@@ -132,34 +150,32 @@ class OtherProxies:
 
     def __init__(self, served: ServedNode, workload: str, folder: Path) -> None:
         """``workload`` is its namespace and name. Raises TypeNotInstalled."""
-        self._succession = Succession(folder, time.monotonic())
-        self._topic = TextTopic(served, f"/_understudy/tasks/{workload}", self._hear)
-        self._epoch: Callable[[], int | None] = lambda: None
+        self._succession = Succession(folder, _since_boot(), _boot())
+        self._topic = TextTopic(served, f"/_understudy/tasks/of_{workload}", self._hear)
+        self._gate: Callable[[], GateEpoch | None] = lambda: None
 
-    async def until_serving(self) -> None:
-        """Wait until this proxy may serve."""
+    async def until_serving(self, gate: Callable[[], GateEpoch | None]) -> None:
+        """Wait until this proxy may serve. ``gate`` returns what the monitor has reported, or None."""
+        self._gate = gate
         await self._topic.open()
         waits = False
-        while not self._succession.may_serve(time.monotonic()):
+        while not self._succession.may_serve(_since_boot()):
             if not waits:
                 _logger.info("another action proxy serves: this one waits until it is gone")
             waits = True
             await asyncio.sleep(PERIOD)
         self._succession.serve()
 
-    async def until_replaced(self, epoch: Callable[[], int | None]) -> None:
-        """Announce this proxy until another one has replaced it.
-
-        ``epoch`` returns that of the gate, or None while not everything is served.
-        """
-        self._epoch = epoch
+    async def until_replaced(self, gate: Callable[[], GateEpoch | None]) -> None:
+        """Announce this proxy until another one has replaced it. ``gate`` returns None while not everything is served."""
+        self._gate = gate
         while not self._succession.is_replaced:
-            if (present := epoch()) is not None:
-                self._topic.publish(self._succession.own(present, time.monotonic()).to_wire())
+            if (present := gate()) is not None:
+                self._topic.publish(self._succession.own(present, _since_boot()).to_wire())
             await asyncio.sleep(PERIOD)
         self._succession.end()
         _logger.warning("another action proxy has replaced this one, which ends")
 
     def _hear(self, text: str) -> None:
         with contextlib.suppress(ValueError):
-            self._succession.hear(Announcement.from_wire(text), self._epoch(), time.monotonic())
+            self._succession.hear(Announcement.from_wire(text), self._gate(), _since_boot())

@@ -77,7 +77,7 @@ async def recover(progress: Progress, choices: Sequence[Choice], context: Strate
         await retire(progress, context)
         return progress
     state = context.gate.state
-    if progress.failed and progress.failed[0].uid == state.active_uid:
+    if progress.failed and progress.failed[0].uid == state.active_uid:  # of one that an earlier monitor began, too
         progress.open_at = state.epoch
     slow = SlowInstance(progress, context)
     try:

@@ -143,7 +143,8 @@ class Monitor:
         self.proxy.kill()
         self.proxy.wait()
         if not journal:
-            (self._folder / running.LASTING / "goals.json").unlink()
+            for folder in (running.OWN, running.LASTING):
+                (self._folder / folder / "goals.json").unlink()
 
     def close(self) -> None:
         self.kill()
@@ -243,15 +244,15 @@ async def test_a_proxy_ends_that_the_one_of_a_newer_pod_replaces_and_serves_agai
         successor.switch(pod, pod.peer())
         await eventually(lambda: monitor.proxy.poll() == 0)
         assert successor.proxy.poll() is None
-        restarted = asyncio.create_task(monitor.start())  # as Kubernetes restarts the container
+        await monitor.start()  # as Kubernetes restarts the container
         await eventually(lambda: "this one waits until it is gone" in monitor.log())
         await eventually(lambda: client.events_of("ended", status=SUCCEEDED))
         assert executed(pod) == [100]
-        assert not restarted.done()
+        assert not monitor.task(), "it serves nothing"
     finally:
         successor.close()
         print(successor.log())
-    await restarted
+    await eventually(lambda: monitor.task().get("served"))
     later = start("client", ACTION, "2")
     await eventually(lambda: later.events_of("ended", status=SUCCEEDED))
 

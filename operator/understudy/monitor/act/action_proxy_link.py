@@ -211,6 +211,8 @@ def judged(tasks: Sequence[Mapping[str, Any]], problem: str) -> tuple[str, str, 
     if messages:
         return "False", "GoalsNotSent", ". ".join(messages)
     actions = ", ".join(task["action"] for task in tasks)
+    if not tasks:
+        return "Unknown", "Starting", "The action proxy does not serve yet."
     if not all(task["served"] for task in tasks):
         return "Unknown", "Starting", f"The action proxy does not serve all of these actions yet: {actions}."
     return "True", "Serving", f"The action proxy serves {actions}."

@@ -105,6 +105,8 @@ class ActStage:
         self.unattended.conclude(outcome)
         if outcome.concluded and outcome.kind != "NothingVerified":
             self.garbage.remember()
+        if outcome.kind == "NoLongerNeeded":
+            self.opening.drop(outcome.progress)
         if outcome.kind in ("Superseded", "Stopped"):
             for pod in outcome.fenced:
                 self.garbage.add(pod)

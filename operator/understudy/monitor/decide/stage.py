@@ -165,9 +165,13 @@ class DecideStage:
         return Resolution(decide(facts), candidates=candidates)
 
     def _last_driver(self) -> str:
-        """Return the UID of the instance that drove until somebody deleted the gate; empty if it has failed, or is not known."""
-        ended = self._gate.state.recovery
-        return "" if ended is not None and ended.has_failed(self._driver) else self._driver
+        """Return the UID of the instance that drove until the gate was closed; empty if it has failed, or is not known.
+
+        Somebody may have deleted the gate, and its list of drivers with it, or this monitor may be new.
+        """
+        state = self._gate.state
+        driver = self._driver or next((pod.uid for pod in state.pinned), "")
+        return "" if state.recovery is not None and state.recovery.has_failed(driver) else driver
 
     def _cases(self, policy: FailurePolicySpec, judgement: Judgement, prepared: Preparation | None) -> Iterator[_Case]:
         """Return every trigger that is present. ``failover/decide.py`` says which one comes first."""

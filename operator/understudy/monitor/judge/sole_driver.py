@@ -235,6 +235,8 @@ class SoleDriver:
             ):  # other monitors have switched the gate several times, and this one did not see for whom
                 was_let_through |= {pod.uid for pod in state.pinned}
             self._epoch = state.epoch
+            # An unknown sender may have been let through until now, by its name or by another monitor.
+            self._tracks = {key: one for key, one in self._tracks.items() if one.sign.uid}
             self._fenced |= dict.fromkeys(was_let_through - through, now)
             self._through, self._names = through, names
             known = {i.uid for i in instances} | {one.uid for one in self._outputs.known_senders()}

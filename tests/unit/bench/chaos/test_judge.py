@@ -366,13 +366,21 @@ def test_an_instance_may_drive_beside_another_one_until_an_operator_restores_a_d
     assert whats(found) == expected
 
 
-@pytest.mark.parametrize(("led_to", "expected"), [(40.0, []), (30.0, ["gap"])])
+@pytest.mark.parametrize(
+    ("led_to", "strategy", "expected"),
+    [
+        (80.0, "Fallback/Uninitialized", []),
+        (30.0, "Fallback/Uninitialized", ["gap"]),
+        (80.0, "Fallback/Executing", ["gap"]),
+    ],
+    ids=["long", "short", "no new process had to be discovered"],
+)
 def test_the_time_in_which_kubernetes_led_nobody_to_the_discovery_server_is_not_counted(
-    led_to: float, expected: list[str]
+    led_to: float, strategy: str, expected: list[str]
 ) -> None:
-    commands, commits = log(drive("a", 1, 10), drive("b", 45, 50)), [Commit(0.0, 1, ("a",)), Commit(45.0, 2, ("b",))]
-    more: dict[str, Any] = {"commits": commits, "recoveries": [recovery(10.5, 45.0)], "astray": [(9.0, led_to)]}
-    assert whats(judged(commands, KILLED, **more)) == expected
+    commands, commits = log(drive("a", 1, 10), drive("b", 85, 90)), [Commit(0.0, 1, ("a",)), Commit(85.0, 2, ("b",))]
+    recovered = recovery(10.5, 85.0, strategy)
+    assert whats(judged(commands, KILLED, commits=commits, recoveries=[recovered], astray=[(9.0, led_to)])) == expected
 
 
 @pytest.mark.parametrize(("server", "expected"), [("node1", []), ("node2", ["state lost"])])

@@ -170,6 +170,10 @@ def test_an_instance_is_settled_if_it_is_active_and_does_not_fail_or_recover() -
     assert not settled("Healthy", replace(ACTIVE, terminating=True))
 
 
+def test_a_proxy_that_serves_nothing_yet_is_starting() -> None:
+    assert judged([], "")[:2] == ("Unknown", "Starting")
+
+
 def test_the_condition_reports_the_state_of_the_tasks() -> None:
     task = {"action": "/goto", "message": "", "served": True}
     assert judged([task], "")[:2] == ("True", "Serving")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import copy
 from pathlib import Path
 from typing import Any
 
@@ -274,6 +275,17 @@ async def test_an_instance_whose_gate_somebody_has_deleted_is_not_fenced_for_its
     with pytest.raises(NoLongerNeeded, match="somebody deleted the gate"):
         await gate.commit(STANDBY, progress)
     assert (gate.state.closed, gate.state.epoch) == (True, 4)
+
+
+async def test_the_gate_is_not_closed_for_a_leak_that_another_monitor_lets_through(
+    client: MemoryClient, found: ClusterView, tmp_path: Path
+) -> None:
+    gate = await open_gate(client, found, tmp_path, FAILED)
+    over = GateRecord.of(copy.deepcopy(await client.get(NETWORK_POLICIES, "fleet", "w-gate")))
+    await GATE.write(client, "fleet", "w", GATE.admission("w", over=over, admitted="w-2", admitted_uid="u2", let_through=""))
+    with pytest.raises(Superseded, match="another process lets w-2 through"):
+        await gate.commit(None, None, against={STANDBY.uid})
+    assert (gate.state.active, gate.state.admitted) == (FAILED.name, STANDBY.name)
 
 
 async def test_a_write_that_is_refused_shows_the_gate_although_the_watch_is_half_open(

@@ -16,13 +16,14 @@ from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.pause_spec import Pause
 from understudy.api.protocol.kept_state import KeptSample, KeptState
 from understudy.clock import CLOCK
-from understudy.failover.interfaces import GateState, Instance
+from understudy.failover.interfaces import GateState, Instance, NoLongerNeeded
 from understudy.failover.pinned import PinnedPod
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import REPLICA_SETS, ApiError
 from understudy.monitor.act.gate.gate_opening import ASK_AGAIN
 from understudy.monitor.act.objects.gate_control import GateControl
 from understudy.monitor.decide.initial_activation import InitialActivation
+from understudy.monitor.outcome import Outcome
 
 ACTIVE = Instance(name="w-1", uid="uid-1", ip="10.0.0.1", running=True, ready=True)
 POLICY = FailurePolicySpec.model_validate(
@@ -41,6 +42,7 @@ class Closed:
     ) -> None:
         monitor = GivenMonitor(folder)
         self.objects, self._loop, self.options = monitor.objects, monitor.loop, monitor.loop.decide.options
+        self.conclude = monitor.loop.conclude
         self.objects.put_workload(pause=paused.to_wire() if paused is not None else None)
         self.objects.put_policy(POLICY)
         self.objects.put_settings()
@@ -110,6 +112,17 @@ async def test_opening_the_gate_for_another_instance_counts_the_last_driver_as_f
     assert progress is not None
     assert progress.result == "Failed", "nobody continues it"
     assert (target, [pod.name for pod in progress.failed]) == ("w-1", ["w-3"] if is_first_failure else ["w-0", "w-3"])
+
+
+async def test_an_instance_that_failed_while_somebody_deleted_the_gate_counts_as_failed(tmp_path: Path) -> None:
+    closed = Closed(tmp_path, ACTIVE)
+    progress = Progress.begin("it ended", last_healthy=7.0, detected=8.0, failed=[PodIdentity(name="w-3", uid="uid-3")])
+    progress.open_at = 4
+    closed.conclude(Outcome("NoLongerNeeded", progress, None, NoLongerNeeded("somebody deleted the gate")))
+    await closed.open()
+    ((target, committed),) = closed.objects.commits
+    assert committed is not None
+    assert (target, [pod.name for pod in committed.failed]) == ("w-1", ["w-3"])
 
 
 KEPT = KeptState(

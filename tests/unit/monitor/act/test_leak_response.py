@@ -327,7 +327,7 @@ async def test_a_new_monitor_listens_before_it_opens_a_closed_gate(
     assert second.commits == []
     monkeypatch.setattr(sole_driver, "LISTEN", 0.0)
     await second.look()
-    assert second.commits == ["w-1"]
+    assert second.commits == ["w-2"], "the last driver"
 
 
 async def test_after_an_outage_a_closed_gate_does_not_open_before_the_monitor_has_listened_again(

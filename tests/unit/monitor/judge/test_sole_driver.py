@@ -210,6 +210,17 @@ def test_a_leak_counts_from_when_its_pod_was_unknown() -> None:
     assert watched.condition[:2] == ("False", "SeveralDrivers")
 
 
+def test_a_pod_that_this_monitor_learns_of_late_was_no_leak_before_the_gate_was_switched() -> None:
+    # Such as the next pod of a StatefulSet, which the gate let through by its name.
+    watched = Watched()
+    watched.listen(probes=True, uid="uid-next")
+    watched.objects.put_gate(GateState(epoch=5, active="w-3", active_uid="uid-w-3"))
+    watched.instances = (*watched.instances, Instance(name="w-2", uid="uid-next"))
+    watched.update(2 * PERIOD)
+    watched.update(2 * PERIOD)
+    assert watched.judged.leaks == ()
+
+
 def test_a_sender_that_may_be_the_active_instance_does_not_count() -> None:
     watched = Watched()
     for _ in range(10):

@@ -50,6 +50,7 @@ class GateOpening:
         self._options, self._state_manager = options, state_manager
         self._given: Instance | None = None
         """The instance that was given state last, as it was then."""
+        self._dropped: Progress | None = None
         self._next_asked = 0.0
         self._open_after = -math.inf
         """When the next request is due (monotonic seconds)."""
@@ -60,8 +61,8 @@ class GateOpening:
         """Open the gate for a pod, unless the last request was a moment ago."""
         if time.monotonic() < self._open_after:
             return
-        left = self._left_to(first)
-        is_other = [pod.uid for pod in self._gate.state.pinned[:1]] != [first.uid]
+        left, last = self._left_to(first), self._last_driver()
+        is_other = last is None or last.uid != first.uid
         if left is not None and is_other and self._is_to_be_given_state(first) and await self._give_state(first, left):
             return  # it is decided again: much may have happened meanwhile
         try:
@@ -82,17 +83,30 @@ class GateOpening:
         The other pods that failed in it still count as failed. So does the one that drove last: it may have failed just before the gate
         closed for a leak.
         """
-        state, now = self._gate.state, CLOCK.now()
-        left = state.recovery
+        left, last, now = self._gate.state.recovery or self._dropped_here(), self._last_driver(), CLOCK.now()
         failed = [] if left is None else [pod for pod in left.failed if pod.uid != first.uid]
-        for last in (PodIdentity(name=pod.name, uid=pod.uid) for pod in state.pinned[:1] if pod.uid != first.uid):
+        if last is not None and last.uid != first.uid:
             if left is None:
                 left = Progress.begin(_CLOSED, last_healthy=now, detected=now)
             elif not left.has_failed(last.uid):
                 left = left.model_copy(update={"moments": left.moments | {"last_healthy": now}})
             if last not in failed:
                 failed.append(last)
-        return None if left is None else ended(left).model_copy(update={"failed": failed})
+        return None if left is None else ended(left).model_copy(update={"failed": failed, "open_at": None})
+
+    def drop(self, progress: Progress) -> None:
+        """Note a recovery that was not needed, because somebody deleted the gate: the failed instance may have failed nevertheless."""
+        self._dropped = progress
+
+    def _dropped_here(self) -> Progress | None:
+        """Return the recovery that was dropped, if nobody has switched the gate since."""
+        return self._dropped if self._dropped is not None and self._dropped.open_at == self._gate.state.epoch else None
+
+    def _last_driver(self) -> PodIdentity | None:
+        pinned, dropped = self._gate.state.pinned, self._dropped_here()
+        if pinned:
+            return PodIdentity(name=pinned[0].name, uid=pinned[0].uid)
+        return dropped.failed[0] if dropped is not None and dropped.failed else None
 
     def _is_to_be_given_state(self, first: Instance) -> bool:
         given = self._given

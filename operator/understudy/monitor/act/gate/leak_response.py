@@ -102,24 +102,24 @@ class LeakResponse:
     async def _close(self) -> bool:
         """Close the gate if an instance that was in control before reaches the robot beside the active one."""
         state = self._gate.state
-        former = [
-            leak.name
+        former = {
+            leak.uid: leak.name
             for leak in self._sole_driver.leaks
             if leak.is_former and leak.goes_on and leak.uid != state.active_uid
-        ]
+        }
         if state.closed or not former or time.monotonic() < self._close_after:
             return False
         # The recovery that opened the gate is over, but the pods that failed in it still count as failed.
         left = ended(state.recovery) if state.recovery is not None else None
         try:
             async with asyncio.timeout(CLOSE_WITHIN):
-                await self._gate.commit(None, left, leaking=self._sole_driver.identities())
+                await self._gate.commit(None, left, leaking=self._sole_driver.identities(), against=former.keys())
         except (Superseded, *FAILURES) as error:
             _logger.warning("could not close the gate for %s: %r", state.active, error)
             self._close_after = time.monotonic() + CLOSE_AGAIN
             return False
         self._sole_driver.close_for(state.active_uid)
-        words = f"the gate is closed for {state.active}, because {', '.join(former)} still reaches the robot; it opens again after that"
+        words = f"the gate is closed for {state.active}, because {', '.join(former.values())} still reaches the robot; it opens again after that"
         _logger.warning(words)
         self._notices.event("Warning", "GateClosedForLeak", words)
         return True

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from pydantic import ValidationError
 
@@ -102,11 +102,17 @@ class GateControl:
         )
 
     async def commit(
-        self, target: Instance | None, progress: Progress | None, *, leaking: Sequence[PinnedPod] = ()
+        self,
+        target: Instance | None,
+        progress: Progress | None,
+        *,
+        leaking: Sequence[PinnedPod] = (),
+        against: Collection[str] = (),
     ) -> GateState:
         """Open the gate for one instance, or close it (None), at the next epoch. The record keeps the identities of leaking instances too.
 
-        Tries again until the API server answers. Raises ApiError if it refuses, and Superseded if the gate does not exist or
+        ``against`` are the UIDs of those that must not reach the robot. Tries again until the API server answers. Raises ApiError if it
+        refuses, and Superseded if another monitor lets one of ``against`` through, the gate does not exist or
         another writer changed it: during this commit, since the last commit of this recovery, or for a pod that this recovery
         is not about. Raises NoLongerNeeded if the instance that it would fence is healthy again, or was silent because somebody deleted
         the gate.
@@ -127,7 +133,8 @@ class GateControl:
         waits_for = progress.waiting.pool if progress is not None and progress.waiting is not None else ""
         if progress is not None:
             self._own = (progress.id, previous.epoch, recovery)
-        let_through = self._pinned(previous, target, leaking)
+        # The list lacks the active pod if an earlier version opened the gate for it.
+        let_through = self._pinned(previous, target, self._fleet.find(previous.active_uid), leaking=leaking)
         asked = time.monotonic()
         while True:
             self._still_needed(record, progress)
@@ -165,6 +172,8 @@ class GateControl:
             ):  # the commit may have been carried out: first it is known
                 await asyncio.sleep(retry)
                 read = await self._reread(previous, uid, recovery)
+            if read is not None and (read.active_uid in against or read.admitted_uid in against):
+                raise Superseded(f"another process lets {read.admitted or read.active} through")
             record = read or record
             if record.epoch > previous.epoch:
                 self._own = (self._own[0], record.epoch, recovery)
@@ -233,12 +242,12 @@ class GateControl:
                 f"another process changed the gate, which now admits {previous.active}; this recovery is for another instance"
             )
 
-    def _pinned(self, over: GateRecord, target: Instance | None, leaking: Sequence[PinnedPod] = ()) -> str:
-        """Return the pods that the gate let through of late, with this one and those that leak, as JSON for its record; empty if there are
-        none."""
-        # The list lacks the active pod if an earlier version opened the gate for it.
-        active = self._fleet.find(over.active_uid)
-        named = [PinnedPod(name=i.name, uid=i.uid, ip=i.ip) for i in (target, active) if i is not None]
+    def _pinned(self, over: GateRecord, *let_through: Instance | None, leaking: Sequence[PinnedPod] = ()) -> str:
+        """Return the pods that the gate let through of late, with these and those that leak, as JSON for its record; empty for none.
+
+        The first is the one that drives, or that drove last.
+        """
+        named = [PinnedPod(name=i.name, uid=i.uid, ip=i.ip) for i in let_through if i is not None]
         pods = pinned.with_pods(pinned.read(over.let_through), *named, *leaking)
         return pinned.write(pods) if pods else ""
 
@@ -278,7 +287,7 @@ class GateControl:
         try:
             if standby is not None:
                 await self._fleet.label(standby)
-            let_through = self._pinned(record, standby)
+            let_through = self._pinned(record, self._fleet.find(record.active_uid), standby)
             patch = self._kind.admission(
                 self._view.workload, over=record, admitted=name, admitted_uid=uid, let_through=let_through
             )

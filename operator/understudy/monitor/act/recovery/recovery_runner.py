@@ -59,7 +59,10 @@ class RecoveryStart:
 
     def begin(self, failure: Failure, first_strategy: int) -> Progress:
         """Return a new recovery, which starts with the strategy of this index."""
-        return self._begun(failure, first_strategy).moved(-CLOCK.step())
+        progress = self._begun(failure, first_strategy).moved(-CLOCK.step())
+        state = self._gate.state
+        progress.open_at = None if state.closed else state.epoch
+        return progress
 
     def _begun(self, failure: Failure, first_strategy: int) -> Progress:
         prepared = self._switchovers.failed(failure.reason)
