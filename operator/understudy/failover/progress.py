@@ -72,8 +72,8 @@ class Progress(Model):
     """How often the target's containers had restarted when it had its state, before the gate opened; None if none was restored."""
     waiting: Waiter | None = None
     """Its place in the queue for a pod of a shared pool, while it waits. Other workloads read it next to the gate."""
-    open_at: int | None = Field(default=None, exclude=True)
-    """The epoch at which the gate let the failed instance through when this run of the recovery began; None if it did not."""
+    open_at: int | None = None
+    """The epoch at which the gate let the failed instance through when the recovery began; None if it did not, or is not known."""
     healthy_again: bool = Field(default=False, exclude=True)
     """Whether the instance whose failure began the recovery is healthy by what was received since then. Counts until the first commit."""
     drives_late: PodIdentity | None = Field(default=None, exclude=True)

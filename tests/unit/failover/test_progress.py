@@ -154,3 +154,9 @@ def test_a_held_recovery_is_held_until_its_release() -> None:
     assert not beside().held
     assert beside(held=NOW).held
     assert not beside(held=NOW, released=NOW + 1).held
+
+
+def test_the_next_monitor_knows_that_the_gate_was_open_when_the_recovery_began() -> None:
+    begun = Progress.begin("it ended", last_healthy=1.0, detected=2.0)
+    begun.open_at = 3
+    assert Progress.of_record(begun.record()).open_at == 3

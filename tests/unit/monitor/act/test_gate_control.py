@@ -282,7 +282,9 @@ async def test_the_gate_is_not_closed_for_a_leak_that_another_monitor_lets_throu
 ) -> None:
     gate = await open_gate(client, found, tmp_path, FAILED)
     over = GateRecord.of(copy.deepcopy(await client.get(NETWORK_POLICIES, "fleet", "w-gate")))
-    await GATE.write(client, "fleet", "w", GATE.admission("w", over=over, admitted="w-2", admitted_uid="u2", let_through=""))
+    await GATE.write(
+        client, "fleet", "w", GATE.admission("w", over=over, admitted="w-2", admitted_uid="u2", let_through="")
+    )
     with pytest.raises(Superseded, match="another process lets w-2 through"):
         await gate.commit(None, None, against={STANDBY.uid})
     assert (gate.state.active, gate.state.admitted) == (FAILED.name, STANDBY.name)

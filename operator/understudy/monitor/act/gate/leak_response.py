@@ -113,13 +113,15 @@ class LeakResponse:
         left = ended(state.recovery) if state.recovery is not None else None
         try:
             async with asyncio.timeout(CLOSE_WITHIN):
-                await self._gate.commit(None, left, leaking=self._sole_driver.identities(), against=former.keys())
+                identities = self._sole_driver.identities()
+                await self._gate.commit(None, left, leaking=identities, against=former.keys())
         except (Superseded, *FAILURES) as error:
             _logger.warning("could not close the gate for %s: %r", state.active, error)
             self._close_after = time.monotonic() + CLOSE_AGAIN
             return False
         self._sole_driver.close_for(state.active_uid)
-        words = f"the gate is closed for {state.active}, because {', '.join(former.values())} still reaches the robot; it opens again after that"
+        leaking = ", ".join(former.values())
+        words = f"the gate is closed for {state.active}, because {leaking} still reaches the robot; it opens again after that"
         _logger.warning(words)
         self._notices.event("Warning", "GateClosedForLeak", words)
         return True
