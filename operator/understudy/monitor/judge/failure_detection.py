@@ -49,6 +49,9 @@ class Failure:
         return self.trigger is Trigger.DEGRADED
 
 
+_NOBODY = "DDS discovery has reported nobody to this monitor: it knows no outputs"
+
+
 class FailureDetector:
     """Judges the active instance. Times are Unix seconds."""
 
@@ -135,6 +138,10 @@ class FailureDetector:
         ):
             self._doubt()
             verdict = self._observer.verdict(now=now, since=since)
+        if verdict.state == "Failed" and self._has_discovered_nobody(active):
+            return Verdict(
+                "Starting", f"{_NOBODY}, and the agent of {active.name} reports it as healthy", verdict.leaf, None
+            )
         if verdict.state == "Starting":
             self._look_for(active, now, since)
         last_well = self._observer.last_well(active.name)
@@ -182,6 +189,18 @@ class FailureDetector:
     def _is_ready(self, active: Instance) -> bool:
         status = self._agents.status(active)
         return status is not None and status.ready
+
+    def _has_discovered_nobody(self, active: Instance) -> bool:
+        """Return whether this monitor never heard a healthy instance because discovery reports nobody to it, not even the robot.
+
+        The discovery server cannot be reached. This monitor would hear no other instance either, and so verify none.
+        """
+        return (
+            self._observer.last_from(active.name) is None
+            and self._is_ready(active)
+            and self._observer.discovered(active) is False
+            and not self._observer.others_discovered(active)
+        )
 
     def _doubt(self) -> None:
         """Look for the instance again, within the startup grace: its agent receives what this new monitor never did.
