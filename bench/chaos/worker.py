@@ -64,15 +64,15 @@ class Worker(Node):
         self._progress.publish(Int64(data=self._step))
 
     def _execute(self, handle):  # type: ignore[no-untyped-def]
-        for number in range(handle.request.order):
-            try:
+        try:
+            for number in range(handle.request.order):
                 handle.publish_feedback(Fibonacci.Feedback(sequence=[number]))
-            except RuntimeError:
-                if rclpy.ok():  # otherwise the pod is being deleted
-                    raise
-                return Fibonacci.Result()
-            time.sleep(STEP)
-        handle.succeed()
+                time.sleep(STEP)
+            handle.succeed()
+        except RuntimeError:
+            if rclpy.ok():  # otherwise the pod is being deleted
+                raise
+            return Fibonacci.Result()
         self._finished.append(bytes(handle.goal_id.uuid).hex())
         return Fibonacci.Result(sequence=[handle.request.order])
 
