@@ -75,8 +75,8 @@ SERVER_STARTS = 3.0
 STARTED_AGAIN = 60.0
 """Seconds within which a monitor must run again at the latest: Kubernetes waits 10, 20 or 40 s before a container's next start."""
 
-EVICTS = 30.0
-"""Seconds after a failure of the API server within which Kubernetes may evict pods because it did not hear their nodes meanwhile."""
+EVICTED_AT = 3.0
+"""Seconds between the eviction of a monitor and the moment from which on none was seen to run."""
 
 BEFORE = 8.0
 """Seconds before a switch in which a fault may have been its cause."""
@@ -165,6 +165,8 @@ class Seen:
     """When a monitor became ready, and on which node, in order."""
     unmonitored: Sequence[tuple[float, float]] = ()
     """From when to when no monitor of it ran."""
+    evictions: Sequence[float] = ()
+    """When Kubernetes evicted a monitor of it."""
     unled: Sequence[tuple[float, float]] = ()
     """From when to when no operator led."""
     servers: Sequence[tuple[float, str]] = ()
@@ -526,13 +528,14 @@ def unwatched(seen: Seen, injected: Sequence[Injected]) -> Iterator[tuple[float,
 
 
 def evicted(seen: Seen, injected: Sequence[Injected]) -> Iterator[tuple[float, float]]:
-    """Yield the times in which a robot had no monitor, because Kubernetes took the monitor's node for lost when the API server failed,
-    or started the monitor's container again only after a while because it had been killed before.
+    """Yield the times in which a robot had no monitor, because Kubernetes evicted it, or started its container again only after a while
+    because it had been killed before.
 
-    How long the next pod or container takes to start is a matter of Kubernetes and of the machine.
+    Kubernetes takes nodes for lost when the API server fails, and up to a minute later, because its controllers connect again late. How
+    long the next pod or container takes to start is a matter of Kubernetes and of the machine, too.
     """
     for begin, end in seen.unmonitored:
-        if any(one.fault.kind in API and one.begun <= begin <= one.ended + EVICTS for one in injected):
+        if any(abs(begin - at) <= EVICTED_AT for at in seen.evictions):
             yield begin, end + LISTENS
         elif any(one.fault.kind == "monitor-kill" and abs(begin - one.begun) <= TOGETHER for one in injected):
             yield begin, min(end, begin + STARTED_AGAIN) + LISTENS

@@ -23,6 +23,7 @@ from tests.e2e.faults import pod_logs, process_ids
 from tests.e2e.kubectl import Failed, Kubectl, Object
 from tests.support.cluster import Cluster, Refused
 from understudy.api import names
+from understudy.controller.observed import kube_objects
 from understudy.controller.runtime.process import LEASE
 
 PERIOD = 1.0
@@ -105,6 +106,8 @@ class Witness:
         self._begun: dict[str, tuple[set[str], float, float]] = {}
         """By the UID of a pod: the values of its labels, when it was created, and when a kubelet began to start it, or it was last seen."""
         self._deleted: dict[str, float] = {}
+        self._evicted: dict[str, tuple[str, float]] = {}
+        """By the UID of a monitor's pod: its workload, and when it was first seen to be evicted."""
         self._read: dict[Path, int] = {}
         self.tracebacks: list[Traceback] = []
         self._ended = threading.Event()
@@ -152,6 +155,10 @@ class Witness:
     def unmonitored(self, workload: str) -> list[tuple[float, float]]:
         """Return from when to when no monitor of a workload was seen to run."""
         return list(between(self._ran[workload].values()))
+
+    def evictions(self, workload: str) -> list[float]:
+        """Return when Kubernetes evicted a monitor of a workload, in order."""
+        return sorted(at for monitored, at in self._evicted.values() if monitored == workload)
 
     def unled(self) -> list[tuple[float, float]]:
         """Return from when to when no operator led."""
@@ -285,6 +292,9 @@ class Witness:
         self._begun[metadata["uid"]] = labels, unix(metadata["creationTimestamp"]), unix(begun) if begun else now
         if metadata.get("deletionTimestamp"):
             self._deleted.setdefault(metadata["name"], now)
+        found = metadata.get("labels") or {}
+        if found.get(names.COMPONENT) == "monitor" and kube_objects.evicted(item):
+            self._evicted.setdefault(metadata["uid"], (found.get(names.MONITORED, ""), now))
 
     def _follow_gates(self) -> None:
         cluster, lost = Cluster(self._kubectl.kubeconfig), 0.0
