@@ -179,7 +179,8 @@ class Robots:
             return
 
         def change(pod: Object) -> Object:
-            if pod["metadata"]["uid"] != uid:
+            has_ended = (pod.get("status") or {}).get("phase") in ("Failed", "Succeeded")  # for good: a later report is an older one
+            if pod["metadata"]["uid"] != uid or has_ended:
                 return pod
             waiting = {"waiting": {"reason": reason}} if reason else {"running": {}}
             conditions = [{"type": "Ready", "status": "True" if ready else "False"}]
