@@ -179,7 +179,10 @@ class Robots:
             return
 
         def change(pod: Object) -> Object:
-            has_ended = (pod.get("status") or {}).get("phase") in ("Failed", "Succeeded")  # for good: a later report is an older one
+            has_ended = (pod.get("status") or {}).get("phase") in (
+                "Failed",
+                "Succeeded",
+            )  # for good: a later report is an older one
             if pod["metadata"]["uid"] != uid or has_ended:
                 return pod
             waiting = {"waiting": {"reason": reason}} if reason else {"running": {}}

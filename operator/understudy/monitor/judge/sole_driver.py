@@ -7,6 +7,7 @@ Instances whose pods are being deleted or are gone count too: their processes ma
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -24,6 +25,10 @@ LASTS = 1.0
 
 QUIET = 5.0
 """Seconds of silence after which a sender no longer reaches the robot; longer for one that sends less often. Agents probe once a second."""
+
+PAUSES = 3.0
+"""Pauses between two signs in a row without any after which a sender has ended, if that is longer than QUIET. Somebody who edits labels and
+the gate lets an instance through for a moment, again and again: that is not one leak that lasts."""
 
 MEMORY = 60.0
 """Seconds for which a sign is remembered, so that a slow sender counts too."""
@@ -69,6 +74,8 @@ class Track:
     first: float
     gap: float = 0.0
     """The longest time between two of them."""
+    least: float = math.inf
+    """The shortest time between two of them; infinite if there is only one."""
 
     @property
     def lasts(self) -> bool:
@@ -82,6 +89,15 @@ class Track:
     def goes_on(self, now: float) -> bool:
         """Whether the sender was heard so recently that it has probably not ended."""
         return now - self.sign.last < max(LASTS, 2 * self.gap)
+
+    def was_over(self, again: float) -> bool:
+        """Whether the sender had ended when it was heard again: it was silent for much longer than one that sends so often."""
+        return again - self.sign.last >= max(QUIET, PAUSES * self.least)
+
+    def with_sign(self, sign: Sign) -> Track:
+        """Return the track with one more sign, or with the same one again."""
+        gap = sign.last - self.sign.last
+        return replace(self, sign=sign, gap=max(self.gap, gap), least=min(self.least, gap) if gap > 0 else self.least)
 
     def moved(self, step: float) -> Track:
         """Return this track after the clock was set by ``step`` seconds."""
@@ -111,10 +127,7 @@ def tracked(
             continue
         key = (sign.uid or sign.name, sign.via)
         known = found.get(key) or _as_stranger(found, sign)
-        if known is None:
-            found[key] = Track(sign, sign.last)
-        else:
-            found[key] = replace(known, sign=sign, gap=max(known.gap, sign.last - known.sign.last))
+        found[key] = Track(sign, sign.last) if known is None or known.was_over(sign.last) else known.with_sign(sign)
     return found
 
 

@@ -61,6 +61,16 @@ def test_a_slow_sender_counts_from_its_second_sign_and_stays_for_two_of_its_peri
     assert not tracked(found, [], {}, let_through=(), now=NOW + 20 + MEMORY)
 
 
+def test_two_short_leaks_are_not_one_that_lasts() -> None:
+    # Somebody edits a label, and seconds later the gate: each is undone within a moment.
+    first = [NOW + 0.2 * number for number in range(4)]
+    second = [NOW + 8 + 0.2 * number for number in range(3)]
+    found = signs("w-1", *first, *second)
+    assert not leaks(found, NOW + 8.5)
+    lasting = [NOW + 8 + 0.2 * number for number in range(7)]
+    assert leaks(signs("w-1", *first, *lasting), NOW + 9.3)
+
+
 class Watched:
     """A workload that w-2 drives after w-1."""
 
