@@ -13,6 +13,9 @@ from __future__ import annotations
 
 import math
 import time
+from pathlib import Path
+
+_BOOT = Path("/proc/sys/kernel/random/boot_id")
 
 LEAST_STEP = 0.005
 """Minimum change in seconds between the system's clock and the monotonic clock that shows that the system's clock was set."""
@@ -47,6 +50,14 @@ class ProcessClock:
     def of_system(self, moment: float) -> float:
         """Return a time of the system's clock, as it is set now, as one of this clock."""
         return moment - self.step()
+
+
+def boot_id() -> str:
+    """Return what identifies the present boot of this node; empty if that is not known."""
+    try:
+        return _BOOT.read_text().strip()
+    except OSError:
+        return ""
 
 
 def _offset() -> float:

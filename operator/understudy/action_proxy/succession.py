@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from understudy.api.protocol.agent_messages import GateEpoch
+from understudy.clock import boot_id
 from understudy.ros.runtime.served_node import ServedNode
 from understudy.ros.runtime.text_topic import TextTopic
 
@@ -138,19 +139,12 @@ def _since_boot() -> float:
     return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
-def _boot() -> str:
-    try:
-        return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
-    except OSError:
-        return ""
-
-
 class OtherProxies:
     """Announces a proxy to the others of its workload, and listens to them."""
 
     def __init__(self, served: ServedNode, workload: str, folder: Path) -> None:
         """``workload`` is its namespace and name. Raises TypeNotInstalled."""
-        self._succession = Succession(folder, _since_boot(), _boot())
+        self._succession = Succession(folder, _since_boot(), boot_id())
         self._topic = TextTopic(served, f"/_understudy/tasks/of_{workload}", self._hear)
         self._gate: Callable[[], GateEpoch | None] = lambda: None
 

@@ -20,6 +20,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from understudy.clock import boot_id
 from understudy.state.state_capture import Key, Version
 
 _logger = logging.getLogger(__name__)
@@ -33,8 +34,6 @@ ABANDONED = 60.0
 _MAGIC = b"USK1"
 _HEADER = struct.Struct(">4s32sI")
 """Magic, SHA-256 of all that follows it, length of the JSON part; the messages follow."""
-
-_BOOT = Path("/proc/sys/kernel/random/boot_id")
 
 
 @dataclass(frozen=True)
@@ -54,7 +53,7 @@ class StateStore:
     def __init__(self, directory: Path) -> None:
         self._directory = directory
         self._blobs: set[str] = set()
-        self._boot = _boot()
+        self._boot = boot_id()
         self._made = False
         self._known: tuple[int, ...] = ()
         """What identifies the index that this process loaded or saved last."""
@@ -206,16 +205,9 @@ def _replace(path: Path, data: bytes) -> tuple[int, ...]:
     return written
 
 
-def _boot() -> str:
-    try:
-        return _BOOT.read_text().strip()
-    except OSError:
-        return ""
-
-
 def _clock_step(clock: Mapping[str, object]) -> float:
     """Return by how many seconds this node's clock was set since then. 0 if this is another node, or the node was restarted."""
-    if not clock["boot"] or clock["boot"] != _boot():
+    if not clock["boot"] or clock["boot"] != boot_id():
         return 0.0
     step = time.time() - time.clock_gettime(time.CLOCK_BOOTTIME) - float(str(clock["offset"]))
     return step if abs(step) > 0.05 else 0.0

@@ -17,9 +17,9 @@ from tests.unit.interleavings.pods import Running
 from tests.unit.interleavings.robots import Robots
 from tests.unit.interleavings.scenes import Outcome, Scene
 from tests.unit.interleavings.scheduling import Killed, Process, VirtualLoop
+from understudy import clock
 from understudy.failover.progress import PodIdentity
 from understudy.kube.client import Object
-from understudy.state import state_store
 
 
 @dataclass
@@ -91,7 +91,7 @@ class SimulatedCluster:
 
     def patches(self) -> Iterator[tuple[Any, str, Any]]:
         """What else has to be so for the time of the run: targets, attributes and their values."""
-        yield state_store, "_BOOT", Path("/nonexistent")  # this machine's clock is not the run's
+        yield clock, "_BOOT", Path("/nonexistent")  # this machine's clock is not the run's
 
     @property
     def workloads(self) -> list[str]:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from understudy import clock
 from understudy.state import state_store as module
 from understudy.state.state_capture import Key, Version
 from understudy.state.state_store import LARGE, StateSource, StateStore
@@ -156,7 +157,7 @@ def test_on_another_node_loaded_times_are_unchanged(tmp_path: Path, monkeypatch:
     StateStore(tmp_path).save(kept)
     other = tmp_path / "boot"
     other.write_text("another\n")
-    monkeypatch.setattr(module, "_BOOT", other)
+    monkeypatch.setattr(clock, "_BOOT", other)
     real = time.time
     monkeypatch.setattr(module.time, "time", lambda: real() + 3600)
     assert StateStore(tmp_path).load() == kept

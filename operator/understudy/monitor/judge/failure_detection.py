@@ -49,9 +49,6 @@ class Failure:
         return self.trigger is Trigger.DEGRADED
 
 
-_NOBODY = "DDS discovery has reported nobody to this monitor: it knows no outputs"
-
-
 class FailureDetector:
     """Judges the active instance. Times are Unix seconds."""
 
@@ -139,9 +136,8 @@ class FailureDetector:
             self._doubt()
             verdict = self._observer.verdict(now=now, since=since)
         if verdict.state == "Failed" and self._has_discovered_nobody(active):
-            return Verdict(
-                "Starting", f"{_NOBODY}, and the agent of {active.name} reports it as healthy", verdict.leaf, None
-            )
+            words = f"DDS discovery has reported nobody to this monitor, and the agent of {active.name} reports it as healthy"
+            return Verdict("Starting", words, verdict.leaf, None)
         if verdict.state == "Starting":
             self._look_for(active, now, since)
         last_well = self._observer.last_well(active.name)

@@ -24,7 +24,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.serialization import deserialize_message, serialize_message
 from unique_identifier_msgs.msg import UUID
 
-from understudy.ros.runtime.served_node import ServedNode
+from understudy.ros.runtime.served_node import ServedNode, ignore_message
 from understudy.ros.runtime.service_client import ServiceClient
 from understudy.ros.runtime.service_exchange import RequestId, ServiceExchangeError, request_writer
 
@@ -327,7 +327,7 @@ class ActionClient:
         ):
             self._clients[name] = ServiceClient(self._served, type_, f"{hidden}/{name}")
         subscription = node.create_subscription(
-            self.type.feedback, f"{hidden}/feedback", _ignore_message, _DRAINED, raw=True
+            self.type.feedback, f"{hidden}/feedback", ignore_message, _DRAINED, raw=True
         )
         self._served.add("subscription", subscription, self._received(subscription))
 
@@ -345,7 +345,3 @@ class ActionClient:
                     self._served.call_in_loop(self._on_feedback, sample.data[_ID].hex(), sample.data)
 
         return take
-
-
-def _ignore_message(message: object) -> None:
-    """Satisfy rclpy, which requires a callback."""

@@ -35,6 +35,10 @@ _LONGEST = 1.0
 """Maximum seconds of one wait, so that a thread that missed a wake-up continues."""
 
 
+def ignore_message(message: object) -> None:
+    """Satisfy rclpy, which requires a callback for each subscription, although the node's thread takes the messages."""
+
+
 class ServedNode:
     """A node and the thread that serves it."""
 

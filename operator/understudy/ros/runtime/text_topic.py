@@ -9,7 +9,7 @@ from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 
 from understudy.ros.runtime.interface_types import message_class
-from understudy.ros.runtime.served_node import ServedNode
+from understudy.ros.runtime.served_node import ServedNode, ignore_message
 
 _TYPE = "std_msgs/msg/String"
 _QOS = QoSProfile(depth=10)
@@ -35,7 +35,7 @@ class TextTopic:
     def _open(self) -> None:
         node = self._served.node
         self._publisher = node.create_publisher(self._class, self._topic, _QOS)
-        subscription = node.create_subscription(self._class, self._topic, _ignore_message, _QOS, raw=True)
+        subscription = node.create_subscription(self._class, self._topic, ignore_message, _QOS, raw=True)
 
         def take() -> None:
             with subscription.handle:
@@ -44,7 +44,3 @@ class TextTopic:
                     self._served.call_in_loop(self._on_received, text)
 
         self._served.add("subscription", subscription, take)
-
-
-def _ignore_message(message: object) -> None:
-    """Satisfy rclpy, which requires a callback."""

@@ -51,6 +51,7 @@ class GateOpening:
         self._given: Instance | None = None
         """The instance that was given state last, as it was then."""
         self._dropped: Progress | None = None
+        """The recovery that was not needed last."""
         self._next_asked = 0.0
         self._open_after = -math.inf
         """When the next request is due (monotonic seconds)."""

@@ -199,9 +199,8 @@ class GateControl:
         if record is None or found is None or found.id != progress.id:
             return True
         if found.monitor == progress.monitor:
-            if (
-                found.epoch == record.epoch
-            ):  # also if a former process of this pod committed it, and the API server was late
+            # Also if a former process of this pod committed it, and the API server carried that out late.
+            if found.epoch == record.epoch:
                 self._own = (progress.id, record.epoch, record.recovery)
             return True
         if record.active:
