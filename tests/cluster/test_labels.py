@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 
 from tests.cluster.operators import CORE, Fleet, Operator, hot, policy, workload
+from tests.cluster.test_pool_pods import claimed_from_a_pool
 from tests.support.cluster import Object, until
 from understudy.api import names
 
@@ -37,6 +38,13 @@ def test_the_labels_of_a_standby_are_restored_within_a_second(fleet: Fleet, oper
         )
         took.append(time.monotonic() - began)
     assert sorted(took)[len(took) // 2] < 1.0, took
+
+
+def test_the_pool_of_a_claimed_pod_is_restored(fleet: Fleet, operator: Operator) -> None:
+    """Without it, its monitor would not know the token of its agent."""
+    claimed = claimed_from_a_pool(fleet, replicas=1)
+    fleet.cluster.patch(claimed, {"metadata": {"labels": {names.POOL: None}}})
+    until(lambda: _labels(fleet, claimed).get(names.POOL) == "spare", "the label to be restored", seconds=10)
 
 
 def test_a_pod_that_its_replica_set_released_is_gated_again(fleet: Fleet, operator: Operator) -> None:

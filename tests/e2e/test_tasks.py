@@ -296,3 +296,20 @@ def test_a_goal_is_aborted_or_sent_by_the_recovery_tree_as_its_task_says(kubectl
     assert carrying.wait("ended", 150, index=0)["status"] == SUCCEEDED
     assert len(carrying.said("answered")) == 1
     assert cell.condition("TasksProxied")["status"] == "True"
+
+
+def test_the_action_proxy_of_a_replaced_monitor_ends(kubectl: Kubectl) -> None:
+    """As on a node that counts as lost: the monitor's pod lives on beside the next one."""
+    cell = Cell(kubectl, "Executing")
+    cell.wait_protected()
+    first = cell.proxy_pod()
+    template = kubectl.get("deployment", f"{NAME}-monitor")["spec"]["template"]
+    kubectl.apply(
+        [template | {"apiVersion": "v1", "kind": "Pod", "metadata": template["metadata"] | {"name": "second"}}]
+    )
+    eventually(
+        lambda: "has replaced this one" in kubectl("logs", first, "-c", "tasks", "--previous=false"),
+        within=60,
+        what="the first proxy ends",
+        note=lambda: "\n".join(kubectl("logs", pod, "-c", "tasks") for pod in (first, "second")),
+    )

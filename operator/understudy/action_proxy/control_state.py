@@ -50,6 +50,8 @@ class ControlState:
     peers: tuple[Peer, ...] = ()
     workload_uid: str = ""
     """UID of the RobotWorkload."""
+    pod_deleted: bool = False
+    """Whether the pod of the monitor and this proxy was deleted, so that others have replaced them."""
 
     @property
     def gate(self) -> GateEpoch:

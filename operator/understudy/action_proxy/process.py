@@ -77,16 +77,25 @@ async def _run(namespace: str, workload: str, state: Path, socket: Path, port: i
     reported: deque[ControlState] = deque(maxlen=1)
     talk = MonitorSocket(reported.append, lambda: {"tasks": [], "epoch": None})
     server = await talk.listen(socket)
-    if await _done_before(stopping, others.until_serving(lambda: reported[-1].gate if reported else None)):
+
+    def deleted() -> bool:
+        return bool(reported) and reported[-1].pod_deleted
+
+    if await _done_before(stopping, others.until_serving(lambda: reported[-1].gate if reported else None, deleted)):
         journal = GoalJournal(state / OWN / "goals.json", LastingCopy(state / LASTING / "goals.json"))
         await journal.fetch()
         proxy = Proxy(served, journal)
         proxy.on_report = talk.send_state
-        talk.hand_over(proxy.place, proxy.report)
+
+        def place(situation: ControlState) -> None:
+            reported.append(situation)
+            proxy.place(situation)
+
+        talk.hand_over(place, proxy.report)
         if reported:
             proxy.place(reported[-1])
         _logger.info("task proxy of %s", workload)
-        await _done_before(stopping, others.until_replaced(proxy.serving_at))
+        await _done_before(stopping, others.until_replaced(proxy.serving_at, deleted))
         await proxy.close()
     server.close()
     page.close()

@@ -3,7 +3,8 @@
 A monitor's pod may outlive its deletion, on a node that counts as lost. Kubernetes starts another pod then, whose proxy serves the same
 actions. A client takes the first answer, and the replaced proxy may answer that a goal is unknown, because agents refuse its requests.
 Neither Kubernetes nor the operator can end a process on a node that they cannot reach. So the proxies of a workload announce themselves to
-each other in the ROS graph, where their clients are too, and each one ends that another one replaces.
+each other in the ROS graph, where their clients are too, and each one ends that another one replaces. After the node's return, discovery
+may take longer than the API server's first answer, by which the monitor learns that their pod was deleted.
 
 A proxy that was replaced starts again, and serves once it has heard none for a while that replaces it: the other one may have been removed,
 or the own monitor has learned of a later switch.
@@ -148,22 +149,24 @@ class OtherProxies:
         self._topic = TextTopic(served, f"/_understudy/tasks/of_{workload}", self._hear)
         self._gate: Callable[[], GateEpoch | None] = lambda: None
 
-    async def until_serving(self, gate: Callable[[], GateEpoch | None]) -> None:
-        """Wait until this proxy may serve. ``gate`` returns what the monitor has reported, or None."""
+    async def until_serving(self, gate: Callable[[], GateEpoch | None], deleted: Callable[[], bool]) -> None:
+        """Wait until this proxy may serve. ``gate`` returns what the monitor has reported, or None; ``deleted`` whether it reports that the
+        pod was deleted."""
         self._gate = gate
         await self._topic.open()
         waits = False
-        while not self._succession.may_serve(_since_boot()):
+        while deleted() or not self._succession.may_serve(_since_boot()):
             if not waits:
                 _logger.info("another action proxy serves: this one waits until it is gone")
             waits = True
             await asyncio.sleep(PERIOD)
         self._succession.serve()
 
-    async def until_replaced(self, gate: Callable[[], GateEpoch | None]) -> None:
-        """Announce this proxy until another one has replaced it. ``gate`` returns None while not everything is served."""
+    async def until_replaced(self, gate: Callable[[], GateEpoch | None], deleted: Callable[[], bool]) -> None:
+        """Announce this proxy until another one has replaced it, or its pod was deleted. ``gate`` returns None while not everything is
+        served."""
         self._gate = gate
-        while not self._succession.is_replaced:
+        while not self._succession.is_replaced and not deleted():
             if (present := gate()) is not None:
                 self._topic.publish(self._succession.own(present, _since_boot()).to_wire())
             await asyncio.sleep(PERIOD)

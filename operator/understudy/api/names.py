@@ -63,6 +63,10 @@ ADMITTED_UID = f"{GROUP}/admitted-uid"
 LET_THROUGH = f"{GROUP}/let-through"
 """Annotation of the gate: name, UID and IP of the pods that it let through of late, as JSON, newest first."""
 
+FENCED = f"{GROUP}/fenced"
+"""Annotation of the gate: the generation of the RobotWorkload since which a user has fenced the robot. The gate stays closed until the
+pause that belongs to it has ended. A monitor that has not seen this generation does not know whether it has."""
+
 RECOVERY = f"{GROUP}/recovery"
 """Annotation of the gate: the recovery that committed it, as JSON, so that a new monitor can complete it."""
 
@@ -136,6 +140,9 @@ DISCOVERY_ASKED_VARIABLE = "UNDERSTUDY_DISCOVERY_ASKED"
 MONITOR_ACCOUNT_ENDING = "-understudy-monitor"
 
 AGENT_CONTAINER = "understudy-agent"
+TOKEN_VOLUME = "understudy-agent-token"
+"""Volume of instances with the token that their agent accepts."""
+
 AGENT_VOLUME = "understudy"
 AGENT_DIR = "/understudy"
 SECRET_DIR = "/etc/understudy/agent"
@@ -244,6 +251,14 @@ def held(pool: str) -> str:
     return f"{pool}-held"
 
 
+_POOL_SECRET = "-pool-agent"
+
+
 def pool_secret(pool: str) -> str:
     """Name of the Secret with ``token`` for the agents of a pool's held pods and of pods that were claimed from it."""
-    return f"{pool}-pool-agent"
+    return f"{pool}{_POOL_SECRET}"
+
+
+def pool_of_secret(secret: str) -> str:
+    """Name of the pool that such a Secret is for."""
+    return secret.removesuffix(_POOL_SECRET)

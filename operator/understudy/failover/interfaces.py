@@ -74,11 +74,13 @@ class Instance:
     """Whether it is being deleted because its node is unreachable. Its processes cannot be ended."""
     conditions: tuple[PodCondition, ...] = field(default=(), compare=False)
     """The conditions in its status."""
+    owned: bool = False
+    """Whether the RobotWorkload itself owns it, so that a pool made it, also if somebody has removed its labels."""
 
     @property
     def from_source(self) -> bool:
         """Whether the workload's own controller created it, and replaces it if it is deleted."""
-        return not self.pool
+        return not self.pool and not self.owned
 
     @property
     def usable(self) -> bool:

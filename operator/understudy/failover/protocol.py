@@ -24,7 +24,7 @@ from understudy.failover.interfaces import (
 )
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.strategies.base import Choice, StrategyContext
-from understudy.failover.strategies.steps import answered_time
+from understudy.failover.strategies.steps import Outage, answered_time
 
 _logger = logging.getLogger(__name__)
 
@@ -213,14 +213,15 @@ async def _attempt(
     is_resumed = progress.target is not None or progress.waiting is not None  # by an earlier monitor
     if not is_resumed and (reason := context.holds(choice.strategy)) is not None:
         return "NotAvailable", reason
+    outage = Outage()
     try:
-        await _in_its_time(progress, choice, context, before, last=last)
+        await _in_its_time(progress, choice, context, before, outage, last=last)
     except NotAvailable as reason:
-        return "NotAvailable", str(reason)
+        return "NotAvailable", outage.beside(str(reason))
     except NotVerified as reason:
-        return "NotVerified", str(reason)
+        return "NotVerified", outage.beside(str(reason))
     except StillDriven as reason:
-        return "StillDriven", str(reason)
+        return "StillDriven", outage.beside(str(reason))
     except _Overtaken as reason:
         return "Overtaken", str(reason)
     except NoLongerNeeded as reason:
@@ -228,19 +229,26 @@ async def _attempt(
             raise
         return "NoLongerNeeded", str(reason)
     except TimeoutError:
-        return "TooSlow", f"the strategy was not verified within {choice.verify_within:g} s: {_missing(progress)}"
+        late = f"the strategy was not verified within {choice.verify_within:g} s: {_missing(progress)}"
+        return "TooSlow", outage.beside(late)
     progress.epoch = context.gate.state.epoch
-    return "Verified", ""
+    return "Verified", outage.beside()
 
 
 async def _in_its_time(
-    progress: Progress, choice: Choice, context: StrategyContext, before: Sequence[Choice], *, last: bool
+    progress: Progress,
+    choice: Choice,
+    context: StrategyContext,
+    before: Sequence[Choice],
+    outage: Outage,
+    *,
+    last: bool,
 ) -> None:
     """Wait for the resources of the strategy, carry it out within its time, and wait until its instance drives alone."""
     while True:
         await choice.strategy.wait(progress, context, within=choice.verify_within)
         try:
-            async with answered_time(choice.verify_within, context):
+            async with answered_time(choice.verify_within, context, outage):
                 work = _unless_overtaken(_carry_out(progress, choice, context), progress, choice, context, before)
                 target = await unless_lost(work, progress, context, crashing_counts=not last)
             await unless_lost(alone(target, progress, context), progress, context, crashing_counts=not last)

@@ -30,6 +30,8 @@ class ApiContact:
         """When a request was last answered."""
         self._back_at = -math.inf
         """When a request was first answered at all, or after the last outage."""
+        self.back = asyncio.Event()
+        """Set at that moment. Whoever waits for it clears it."""
 
     @contextmanager
     def asking(self) -> Iterator[None]:
@@ -54,6 +56,7 @@ class ApiContact:
             self._failing_since, self._answered_at = None, loop.time()
             if is_back:
                 self._back_at = self._answered_at
+                self.back.set()
         finally:
             del self._asked[request]
 

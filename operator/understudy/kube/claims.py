@@ -5,20 +5,15 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import time
-from collections.abc import Awaitable, Callable
-from typing import TypeVar
 
 from understudy.api import names
 from understudy.api.base import API_VERSION
 from understudy.kube.client import FAILURES, JSON, PODS, ApiError, Client, Object
-
-RETRY_FIRST, RETRY_MOST = 0.05, 1.0  # seconds
+from understudy.kube.repeated_requests import RETRY_FIRST, RETRY_MOST, TRY_WITHIN, answered, unanswered
 
 PARTS = 16
 """Number of parts of a shared pool. A workload asks for one part of the pods, since all pods of a large pool are a
 megabyte."""
-
-T = TypeVar("T")
 
 
 def part(key: str) -> str:
@@ -41,10 +36,11 @@ async def claim(client: Client, pod: Object, *, workload: str, workload_uid: str
     while True:
         whole = "resourceVersion" in pod["metadata"]
         try:
-            return await (_write if whole else _test_and_write)(client, pod, workload, workload_uid, claim)
+            async with asyncio.timeout(TRY_WITHIN):
+                return await (_write if whole else _test_and_write)(client, pod, workload, workload_uid, claim)
         except FAILURES as error:
             changed = isinstance(error, ApiError) and error.status == (409 if whole else 422)
-            if not changed and not _unanswered(error):
+            if not changed and not unanswered(error):
                 raise
             if not changed:
                 await asyncio.sleep(retry)
@@ -57,30 +53,22 @@ async def claim(client: Client, pod: Object, *, workload: str, workload_uid: str
             pod = fresh
 
 
-def _unanswered(error: Exception) -> bool:
-    """Whether it is unknown if a request was carried out, or the request is worth repeating."""
-    return not isinstance(error, ApiError) or not error.final
-
-
 async def _reread(client: Client, pod: Object) -> Object:
     """Read the pod again. Waits while the API server cannot be reached."""
     return await answered(lambda: client.get(PODS, pod["metadata"]["namespace"], pod["metadata"]["name"]))
 
 
-async def answered(ask: Callable[[], Awaitable[T]]) -> T:
-    """Return the API server's answer, repeating the request until there is one.
-
-    Raises ApiError if the API server refuses.
-    """
-    retry = RETRY_FIRST
-    while True:
-        try:
-            return await ask()
-        except FAILURES as error:
-            if not _unanswered(error):
-                raise
-            await asyncio.sleep(retry)
-            retry = min(2 * retry, RETRY_MOST)
+def pool_of(pod: Object) -> str:
+    """Return the pool that made a pod; empty if none did. A claimed pod whose label somebody has removed still has the Secret of its pool,
+    since nobody can change that."""
+    metadata = pod["metadata"]
+    if label := (metadata.get("labels") or {}).get(names.POOL, ""):
+        return str(label)
+    if names.CLAIM not in (metadata.get("annotations") or {}):
+        return ""
+    volumes = (pod.get("spec") or {}).get("volumes") or []
+    secrets = (volume["secret"]["secretName"] for volume in volumes if volume["name"] == names.TOKEN_VOLUME)
+    return names.pool_of_secret(next(secrets, ""))
 
 
 def unclaimed(pod: Object) -> bool:

@@ -36,8 +36,13 @@ class Outcome:
         return self.kind not in ("Superseded", "Stopped", "NoLongerNeeded")
 
     @property
-    def fenced(self) -> Sequence[PodIdentity]:
-        """The failed pods, if a commit had fenced them. The gate's record need not have them: somebody may have deleted the gate since."""
+    def left(self) -> Sequence[PodIdentity]:
+        """The pods that this recovery has put out of control, and that are to be deleted. The gate's record need not have them: somebody
+        may have fenced the robot or deleted the gate since."""
+        if self.kind in ("NoLongerNeeded", "NothingVerified"):
+            return ()
+        if self.concluded:
+            return self.progress.replaced
         return self.progress.failed if {"fenced", "committed"} & self.progress.moments.keys() else ()
 
     @property

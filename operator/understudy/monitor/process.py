@@ -40,6 +40,7 @@ from understudy.monitor.observe.agent_connections import AgentConnections
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.instance_roles import InstanceRoles
 from understudy.monitor.observe.objects.cluster_view import ClusterView
+from understudy.monitor.observe.objects.own_pod import PodDeleted, end_if_deleted
 from understudy.monitor.observe.objects.resource_meter import ResourceMeter
 from understudy.monitor.observe.robot.health_observer import HealthObserver
 from understudy.monitor.observe.robot.robot_readers import RobotReaders
@@ -63,7 +64,7 @@ STATE = Path("/var/lib/understudy")
 def main(argv: list[str]) -> int:
     """Run until SIGTERM or SIGINT. UNDERSTUDY_WORKLOAD and UNDERSTUDY_NAMESPACE name the workload.
 
-    Returns 75 (EX_TEMPFAIL) if this process is deaf for the active instance and must start again.
+    Returns 75 (EX_TEMPFAIL) if this process is deaf for the active instance and must start again, or if its pod was deleted.
     """
     json_logs.configure(os.environ.get("UNDERSTUDY_LOG_LEVEL", "INFO"))
     workload, namespace = os.environ.get("UNDERSTUDY_WORKLOAD"), os.environ.get("UNDERSTUDY_NAMESPACE")
@@ -75,7 +76,7 @@ def main(argv: list[str]) -> int:
     cpu_scheduling.ask_for_short_slices()
     try:
         asyncio.run(_run(workload, namespace, state))
-    except* Deaf as group:
+    except* (Deaf, PodDeleted) as group:
         _logger.error("%s", group.exceptions[0])
         code = os.EX_TEMPFAIL
     else:
@@ -150,6 +151,7 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
             monitor_metrics.ObservationMetrics(lambda: observer.records, lambda: (schedule.count, schedule.overruns))
         )
         permits = Permits(cluster, agents, observer.graph, current, wakeups, notices)
+        group.create_task(end_if_deleted(view))
         group.create_task(keep_warm(client))
         group.create_task(permits.run())
         group.create_task(writer.run())

@@ -40,7 +40,7 @@ LAG = 10.0
 """Maximum seconds from a failure until it is noticed, if there is no room for many versions."""
 
 PATIENCE = 10.0
-"""Seconds of health after which state that never arrived is reported as missing."""
+"""Seconds of health after which state that never arrived is reported as missing, and not waited for any more."""
 
 SQUEEZED = 60.0
 """Seconds for which a message that did not fit is reported, after the last such message."""
@@ -305,6 +305,15 @@ class Keeper:
             else:
                 states.append(LifecycleState(key.name, version.data.decode(), version.taken_at))
         return KeptState(tuple(samples), tuple(parameters), tuple(states), tuple(left_out))
+
+    def awaited(self, now: float) -> list[str]:
+        """Return the items of which nothing can be restored yet that the present healthy instance sent or reported, and that may soon be
+        there."""
+        since = self._healthy_since
+        if since is None or now - since > PATIENCE:
+            return []
+        best = ((key, item.before(now - self._margin)) for key, item in self._items.items())
+        return [key.label for key, version in best if version is None or version.good_from < since]
 
     def note(self, notes: Mapping[Key, tuple[Trouble, str]]) -> None:
         """Set why items cannot be captured. The reason NeverCame is reported only if no version is kept."""

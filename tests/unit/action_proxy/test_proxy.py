@@ -24,6 +24,7 @@ from tests.unit.action_proxy.conftest import ACTION, CANCELED, SUCCEEDED, TYPE, 
 from tests.unit.agent.conftest import PACKAGE, TOKEN
 from tests.unit.agent.conftest import Pod as AgentPod
 from understudy.action_proxy import process as running
+from understudy.action_proxy import succession
 from understudy.action_proxy.control_state import ControlState, Peer, TaskRule
 from understudy.api.kinds.task_spec import Task
 from understudy.ros.dds.profiles import instance_profiles_xml
@@ -126,8 +127,10 @@ class Monitor:
         while line := await reader.readline():
             self.reports.append(json.loads(line)["report"])
 
-    def tell(self) -> None:
-        situation = ControlState("robot", self.epoch, self.active, self.settled, self.rules, self.peers)
+    def tell(self, *, pod_deleted: bool = False) -> None:
+        situation = ControlState(
+            "robot", self.epoch, self.active, self.settled, self.rules, self.peers, pod_deleted=pod_deleted
+        )
         self._writer.write(json.dumps({"situation": situation.to_wire()}).encode() + b"\n")
 
     def switch(self, pod: Pod | None, *peers: Peer, settled: bool = True) -> None:
@@ -255,6 +258,19 @@ async def test_a_proxy_ends_that_the_one_of_a_newer_pod_replaces_and_serves_agai
     await eventually(lambda: monitor.task().get("served"))
     later = start("client", ACTION, "2")
     await eventually(lambda: later.events_of("ended", status=SUCCEEDED))
+
+
+async def test_a_proxy_whose_pod_was_deleted_ends_and_does_not_serve_again(monitor, pods):
+    pod = pods("robot-1")
+    monitor.switch(pod, pod.peer())
+    await eventually(lambda: monitor.task().get("served"))
+    monitor.tell(pod_deleted=True)
+    await eventually(lambda: monitor.proxy.poll() == 0)
+    monitor.reports.clear()
+    await monitor.start()  # as the kubelet does that does not know of it yet
+    monitor.tell(pod_deleted=True)
+    await asyncio.sleep(succession.GONE_AFTER + 1)
+    assert not monitor.task(), "it serves nothing"
 
 
 async def test_goals_are_cancelled_rejected_preempted_and_survive_their_client(monitor, pods, start):

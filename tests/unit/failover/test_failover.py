@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -284,6 +285,7 @@ async def test_an_outage_of_the_api_server_fails_no_standby() -> None:
     assert (done.result, done.strategy) == ("Recovered", "Fallback/Executing")
     assert [(attempt.pod, attempt.result) for attempt in done.attempts] == [("w-2", "Verified")]
     assert (store.commits, store.deleted) == (["w-2"], ["w-1"])
+    assert re.fullmatch("the API server did not answer for (0.[89]|1.0) s", done.attempts[0].message)
 
 
 async def test_no_instance_is_asked_for_test_packets_before_an_api_server_that_was_away_has_committed() -> None:
@@ -316,6 +318,7 @@ async def test_a_strategy_has_its_whole_time_again_after_an_outage_and_no_more()
     began = loop.time()
     done = await recover(failure(world), choices(ExecutingFallback("hot")), world.context())
     assert done.result == "Failed"
+    assert re.search("; the API server did not answer for 0.[567] s, which do not count$", done.attempts[0].message)
     assert 2.5 * VERIFY_WITHIN <= loop.time() - began <= 4.5 * VERIFY_WITHIN
 
 

@@ -125,9 +125,10 @@ class Monitor:
     def note_hindrance(self) -> None:
         """Note whether something keeps it from noticing what its robot hears, or from acting."""
         now, network, process = self._robots.now, self._network, self.process
+        paused = "pause" in network.server.items["robotworkloads"][(NAMESPACE, self.workload)]["spec"]
         if process.stalled or self.notices is None:
             self.hindered_at = self.cut_off_at = now
-        elif process in network.cut_off or process in network.denied or network.weather.slow:
+        elif paused or process in network.cut_off or process in network.denied or network.weather.slow:
             self.cut_off_at = now
         if self.current.progress is not None:
             self.recovered_at = now

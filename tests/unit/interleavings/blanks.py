@@ -34,6 +34,9 @@ class Keeping:
 
     follow = judge = report_restored = housekeeping = take
 
+    def awaited(self) -> str:
+        return ""
+
     def select(self, onset: float) -> KeptState:
         return KeptState()
 

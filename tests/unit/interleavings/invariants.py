@@ -53,6 +53,8 @@ class Invariants:
         """When pods of the workloads' own controllers have gone: an operator may still see them."""
         self.failed: dict[str, float] = {}
         """Pods that failed for good while they were in control, and when."""
+        self.fenced: set[str] = set()
+        """Robots whose gate a user has closed: it stays closed until the user resumes the workload."""
         self.commits = self.claims = self.creations = 0
         self.commands = Commands(lambda: robots.now, broken)
         self.drivers = Drivers(
@@ -125,6 +127,8 @@ class Invariants:
         through = GATE.let_through(new)
         if through != self._named(after):
             self._broken(f"{_name(new)} lets {through} through and names {after.active!r}")
+        if through and _name(new).removesuffix("-gate") in self.fenced:
+            self._broken(f"{_name(new)} lets {through} through, and a user has fenced it")
         if old is not None:
             before = GateRecord.of(old)
             changed = self._control(old) != self._control(new)

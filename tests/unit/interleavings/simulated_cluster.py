@@ -13,6 +13,7 @@ from tests.unit.interleavings.actors import LEASE, NAMESPACE, Monitor, OperatorP
 from tests.unit.interleavings.apiserver import EPOCH, ApiServer
 from tests.unit.interleavings.invariants import Invariants
 from tests.unit.interleavings.network import Network
+from tests.unit.interleavings.pauses import Pauses
 from tests.unit.interleavings.pods import Running
 from tests.unit.interleavings.robots import Robots
 from tests.unit.interleavings.scenes import Outcome, Scene
@@ -51,6 +52,7 @@ class SimulatedCluster:
         self.robots.changed = self._output_received
         self.robots.started = lambda workload, found: self.invariants.started(workload, found.uid, found.place)
         self.invariants = self._make_invariants()
+        self.pauses = Pauses(self.server, self.loop.time, self.note, self.invariants.fenced)
         self.robots.restored = self.invariants.kept_states.given
         self.robots.commanded = self.invariants.commands.carried_out
         self.robots.commanded_safely = self.invariants.drivers.commanded_safely

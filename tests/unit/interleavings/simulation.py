@@ -98,6 +98,7 @@ class Simulation(Troubles):
         return (
             len(monitors) == 1
             and not monitors[0].is_hindered
+            and not self.pauses.is_paused(workload)
             and not (network.cut_off or network.apart or network.half_open or self._stalled or self.robots.nodes.lags)
         )
 

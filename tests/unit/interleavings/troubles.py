@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from tests.unit.interleavings import apiserver
 from tests.unit.interleavings.actors import NAMESPACE, Monitor
@@ -52,6 +52,8 @@ TROUBLES = {
     "pool_is_resized": 3,
     "template_changes": 2,
     "something_is_deleted": 1,
+    "somebody_pauses": 1,
+    "somebody_fences": 2,
     "node": 1,
     "node_enforces_late": 2,
     "node_is_deaf": 2,
@@ -294,6 +296,18 @@ class Troubles(SimulatedCluster):
             "robotworkloads", (NAMESPACE, workload), lambda item: apiserver.merged(item, body), "somebody"
         )
 
+    def _somebody_pauses(self) -> None:
+        self._pause(self.pauses.pause)
+
+    def _somebody_fences(self) -> None:
+        self._pause(self.pauses.fence)
+
+    def _pause(self, how: Callable[[str], None]) -> None:
+        workload = self.choices.choice(self.workloads)
+        if not self.pauses.is_paused(workload):
+            how(workload)
+            self.later(self.choices.choice([3, 10, 30]) * self.choices.random(), self.pauses.resume, workload)
+
     def _kubelets_write(self) -> None:
         for uid in sorted(self.robots.running):
             self.later(self.choices.random(), self.robots.heartbeat, uid)
@@ -414,4 +428,6 @@ class Troubles(SimulatedCluster):
         for workload in self.workloads:
             for monitor in [m for m in self.monitors if m.workload == workload][:-1]:
                 self.kill(monitor.process)
+        for workload in self.workloads:
+            self.pauses.resume(workload)
         self._calm = True

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from tests.unit.interleavings.senses import GAP
 from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import FailurePolicySpec
-from understudy.monitor.act.objects.gate_control import RETRY_MOST, TRY_WITHIN
+from understudy.kube.repeated_requests import RETRY_MOST, TRY_WITHIN
 from understudy.monitor.judge.sole_driver import LISTEN, QUIET
 from understudy.monitor.loop import SETTLE
 from understudy.monitor.observe.objects.other_monitors import ANSWER_WITHIN, ASK_PERIOD

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections import Counter
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 
 import aiohttp
 import pytest
@@ -147,6 +148,21 @@ async def test_a_claimed_pod_that_is_being_deleted_is_not_used() -> None:
     assert refused.value.not_found
 
 
+async def test_a_claim_on_a_dead_connection_is_sent_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(claims, "TRY_WITHIN", 0.05)
+    client = MemoryClient()
+    pod, write = await free_pod(client), client.patch
+
+    async def hang(*_: object, **__: object) -> Object:
+        monkeypatch.setattr(client, "patch", write)
+        await asyncio.Event().wait()
+        raise AssertionError
+
+    monkeypatch.setattr(client, "patch", hang)
+    async with asyncio.timeout(5):
+        assert (await claimed(client, pod))["metadata"]["labels"][names.WORKLOAD] == "w"
+
+
 async def test_a_permanent_refusal_of_the_api_server_is_not_retried() -> None:
     client = Lossy((ApiError(403, "Forbidden", "not yours"), False))
     with pytest.raises(ApiError) as refused:
@@ -155,49 +171,7 @@ async def test_a_permanent_refusal_of_the_api_server_is_not_retried() -> None:
     assert [method for method, _, _ in client.requests] == ["POST"]
 
 
-def asking(answers: list[Exception | str]) -> Callable[[], Awaitable[str]]:
-    """A request that is answered with one after the other, or fails with it."""
-
-    async def ask() -> str:
-        answer = answers.pop(0)
-        if isinstance(answer, Exception):
-            raise answer
-        return answer
-
-    return ask
-
-
-async def test_a_request_is_repeated_until_it_is_answered_or_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(claims, "RETRY_FIRST", 0.001)
-    answers: list[Exception | str] = [TimeoutError(), ApiError(429, "TooManyRequests", "busy"), "pods"]
-
-    ask = asking(answers)
-    assert await claims.answered(ask) == "pods"
-    answers[:] = [ApiError(403, "Forbidden", "no"), "pods"]
-    with pytest.raises(ApiError):
-        await claims.answered(ask)
-    assert answers == ["pods"], "it isn't asked again"
-
-
 def test_the_parts_of_a_pool_have_about_equal_sizes() -> None:
     counted = Counter(claims.part(f"spare-{number}") for number in range(1600))
     assert len(counted) == claims.PARTS
     assert 60 < min(counted.values()) <= max(counted.values()) < 140
-
-
-async def test_a_server_that_does_not_know_roles_or_accounts_yet_is_asked_again() -> None:
-    answers: list[Exception | str] = [
-        ApiError(
-            403,
-            "Forbidden",
-            'cannot delete resource "pods": RBAC: role.rbac.authorization.k8s.io "w-monitor" not found',
-        ),
-        ApiError(401, "Unauthorized", "Unauthorized"),
-        "deleted",
-    ]
-
-    ask = asking(answers)
-    assert await claims.answered(ask) == "deleted"
-    answers.append(ApiError(403, "Forbidden", "only pods of its own workload"))
-    with pytest.raises(ApiError):
-        await claims.answered(ask)

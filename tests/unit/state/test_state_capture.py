@@ -148,6 +148,19 @@ def test_the_age_counts_at_the_begin_of_the_failure() -> None:
     assert kept_at(keeper, START + 5) <= START + 4.5
 
 
+def test_state_of_the_present_instance_is_awaited_for_some_healthy_time() -> None:
+    earlier, keeper = Keeper(state()), Keeper(state(margin="500ms"))
+    healthy(earlier, START, START + 20)
+    keeper.adopt(earlier.versions(), START + 21)
+    keeper.judge("Healthy", START + 22)
+    assert keeper.awaited(START + 22 + PATIENCE) == ["/amcl_pose"], "what an earlier monitor kept is older"
+    assert not keeper.awaited(START + 22.1 + PATIENCE), "it may never come"
+    offer(keeper, START + 23)
+    keeper.judge("Healthy", START + 23)
+    assert keeper.awaited(START + 23.4) == ["/amcl_pose"], "it is too new to be restored"
+    assert not keeper.awaited(START + 23.5)
+
+
 def test_a_topic_without_messages_is_reported_after_some_healthy_time() -> None:
     keeper = Keeper(state())
     keeper.judge("Healthy", START)

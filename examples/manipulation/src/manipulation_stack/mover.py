@@ -69,8 +69,7 @@ class Mover(managed.Managed):
         self._planning = threading.Lock()
         self._reference: Command | None = None
         self._heard = self.input(JointState, "/arm_controller/reference", QoSProfile(depth=5))
-        # The newest alone: whoever opens the way to the arm must not have it sent what was right some time ago.
-        self._commands = self.create_lifecycle_publisher(JointTrajectory, "/arm_controller/joint_trajectory", 1)
+        self._commands = self.create_lifecycle_publisher(JointTrajectory, "/arm_controller/joint_trajectory", 10)
         self.at_cleanup(lambda: self.destroy_lifecycle_publisher(self._commands))
         self._heartbeat = Heartbeat(self, "/manipulation/heartbeat")
         Server(self, MoveToPose, "/move_to_pose", self._move)

@@ -84,7 +84,7 @@ class ControllerServer(managed.Managed):
         self._base = self.parameter("base_frame_id", "base_link")
         self._stamped = self.parameter("enable_stamped_cmd_vel", False)
         self._laser, self._whereabouts = Laser(self), Whereabouts(self)
-        self._commands = self.create_lifecycle_publisher(TwistStamped if self._stamped else Twist, "/cmd_vel", 1)
+        self._commands = self.create_lifecycle_publisher(TwistStamped if self._stamped else Twist, "/cmd_vel", 10)
         self.at_cleanup(lambda: self.destroy_lifecycle_publisher(self._commands))
         Server(self, FollowPath, "/follow_path", self._follow)
 

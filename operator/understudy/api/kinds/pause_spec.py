@@ -7,6 +7,9 @@ from pydantic import Field
 from understudy.api.base import Model
 from understudy.api.moments import Moment, in_words, unix
 
+FENCE = "fenced: "
+"""How the reason of a pause begins that belongs to a fence (understudy fence)."""
+
 
 class Pause(Model):
     """Maintenance mode: the monitor watches and reports, and takes no action."""
@@ -29,6 +32,11 @@ class Pause(Model):
     def in_force(self, now: float) -> bool:
         """Return whether the pause is in effect at this time (unix seconds)."""
         return self.end is None or now < self.end
+
+    @property
+    def is_fence(self) -> bool:
+        """Whether the gate stays closed during this pause."""
+        return self.reason.startswith(FENCE)
 
     @property
     def words(self) -> str:

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import time
 
 from understudy.api import names
 from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options
-from understudy.cli.common.errors import reports_errors
+from understudy.cli.common.errors import CommandError, reports_errors
 from understudy.cli.control import signature
 from understudy.failover.progress import rfc3339
+from understudy.kube.client import Object
+from understudy.kube.gates import registry
+from understudy.kube.gates.base import GateRecord
 
 
 @reports_errors("resume")
@@ -22,11 +26,22 @@ def main(arguments: list[str]) -> int:
     # Without a reason, remove that of an earlier resume.
     word = {"metadata": {"annotations": {names.RESUMED: rfc3339(time.time()), names.RESUMED_FOR: why}}}
     item = kubectl.patch(WORKLOADS, options.name, word | {"spec": {"pause": None}})
+    _free_gate(kubectl, item)
     where = f"{item['metadata']['namespace']}/{item['metadata']['name']}"
     pause = (before.get("spec") or {}).get("pause")
     was = f"pause ended; it was paused by {pause.get('owner')}: {pause.get('reason')}" if pause else "it was not paused"
     print(f"{where}: {was}. A failure is recovered at once again, and the budget (limits.budget) is reset.")
     return 0
+
+
+def _free_gate(kubectl: Kubectl, item: Object) -> None:
+    """Remove the fence from the gate. Monitors compare it with the generation of the workload, which begins again in a restored backup."""
+    resource, gate = registry.of(item).resource.qualified, names.gate(item["metadata"]["name"])
+    with contextlib.suppress(
+        CommandError
+    ):  # not every user who may resume a robot may write its gate, and usually nobody has to
+        if (found := kubectl.find(resource, gate)) is not None and GateRecord.of(found).fenced:
+            kubectl.patch(resource, gate, {"metadata": {"annotations": {names.FENCED: None}}})
 
 
 def _why(options: argparse.Namespace) -> str | None:

@@ -21,7 +21,7 @@ from understudy.controller.observed.observation import Observed
 from understudy.controller.plan import Create, Delete, Patch, Plan
 from understudy.controller.pods import instance_pod, pod_counts, pod_placement
 from understudy.controller.pods.pool_pods import UniqueValues
-from understudy.kube import apply
+from understudy.kube import apply, claims
 from understudy.kube.client import PODS, REPLICA_SETS, Object
 
 
@@ -244,9 +244,9 @@ def relabelled(observed: Observed, workload_plan: WorkloadPlan) -> Iterator[Patc
 
 
 def _pool_of(pod: Object, observed: Observed, workload_plan: WorkloadPlan) -> str | None:
-    """Return the pool of a standby without the pool's label, if its template or the number of pools shows it."""
+    """Return the pool of a pod without the pool's label, if its claim, its template or the number of pools shows it."""
     if names.CLAIM in kube_objects.notes(pod):
-        return None
+        return claims.pool_of(pod) or None
     of_template = [
         pool
         for pool, built in workload_plan.builts.items()

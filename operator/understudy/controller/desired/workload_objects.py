@@ -135,7 +135,9 @@ def _gate(made: Plan, observed: Observed, spec: RobotWorkloadSpec) -> None:
         made.writes.append(_ours(observed, resource, body))
     if gate is None:
         epoch = ((workload.get("status") or {}).get("gate") or {}).get("epoch") or 0
-        made.writes.append(Create(kind.resource, ownership.ours(kind.closed(name, epoch=epoch), owner, workload)))
+        fenced = workload["metadata"]["generation"] if spec.pause is not None and spec.pause.is_fence else 0
+        closed = kind.closed(name, epoch=epoch, fenced=fenced)
+        made.writes.append(Create(kind.resource, ownership.ours(closed, owner, workload)))
     elif repair := kind.repair(gate, owner=owner, labels=kube_objects.MANAGED_BY):
         made.writes.append(Patch(kind.resource, gate, repair))
 

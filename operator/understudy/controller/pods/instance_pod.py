@@ -39,7 +39,6 @@ HARDENED: Object = {
 DEFAULT_CONTAINER = "kubectl.kubernetes.io/default-container"
 """Annotation of a pod with the container whose logs kubectl shows by default."""
 
-_TOKEN_VOLUME = "understudy-agent-token"
 
 
 @dataclass(frozen=True)
@@ -116,7 +115,7 @@ def problem(template: Mapping[str, Any], *, held: bool, path: str, gate: GateKin
                 "must know its command. Set command in the template (the entry point of the image cannot be used)"
             )
     for volume in spec.get("volumes") or []:
-        if volume.get("name") in (names.AGENT_VOLUME, _TOKEN_VOLUME, names.INSTANCE_PROFILES_VOLUME):
+        if volume.get("name") in (names.AGENT_VOLUME, names.TOKEN_VOLUME, names.INSTANCE_PROFILES_VOLUME):
             return f"{path}.spec.volumes has {volume['name']}, which Understudy's sidecar uses. Choose another name"
     return None
 
@@ -152,7 +151,7 @@ def build(template: Mapping[str, Any], recipe: Recipe) -> Object:
     spec["volumes"] = [
         *(spec.get("volumes") or []),
         {"name": names.AGENT_VOLUME, "emptyDir": {}},
-        {"name": _TOKEN_VOLUME, "secret": {"secretName": recipe.secret, "defaultMode": 0o444}},
+        {"name": names.TOKEN_VOLUME, "secret": {"secretName": recipe.secret, "defaultMode": 0o444}},
     ]
     if recipe.profiles:
         config_map = {"name": names.instance_profiles(recipe.workload)}
@@ -378,7 +377,7 @@ def _agent(recipe: Recipe, held: Sequence[str], fenced: Sequence[str], unfenced:
         "securityContext": copy.deepcopy(HARDENED),
         "volumeMounts": [
             {"name": names.AGENT_VOLUME, "mountPath": names.AGENT_DIR},
-            {"name": _TOKEN_VOLUME, "mountPath": names.SECRET_DIR, "readOnly": True},
+            {"name": names.TOKEN_VOLUME, "mountPath": names.SECRET_DIR, "readOnly": True},
             *profiles,
         ],
     }

@@ -6,6 +6,7 @@ import asyncio
 import logging
 from collections.abc import AsyncIterator, Collection, Coroutine, Iterable
 from contextlib import asynccontextmanager
+from dataclasses import dataclass
 from typing import Any
 
 from understudy.api.protocol.kept_state import KeptState
@@ -35,6 +36,9 @@ OUTAGE_CHECK_PERIOD = 0.05
 
 CLOCK_RESOLUTION = 0.001
 """Seconds that the clock distinguishes at least."""
+
+OUTAGE_REPORTED = 0.5
+"""Minimum seconds without an answer of the API server that the record of an attempt names."""
 
 
 def committed_target(progress: Progress, context: StrategyContext) -> Instance | None:
@@ -242,21 +246,35 @@ async def give_state_and_bring_up(
     return missing
 
 
+@dataclass
+class Outage:
+    """For how long the API server did not answer during an attempt."""
+
+    seconds: float = 0.0
+
+    def beside(self, message: str = "") -> str:
+        """Return a message about the attempt that names the outage too, if it was long enough to matter."""
+        if self.seconds < OUTAGE_REPORTED:
+            return message
+        away = f"the API server did not answer for {self.seconds:.1f} s"
+        return f"{message}; {away}, which do not count" if message else away
+
+
 @asynccontextmanager
-async def answered_time(within: float, context: StrategyContext) -> AsyncIterator[None]:
+async def answered_time(within: float, context: StrategyContext, outage: Outage | None = None) -> AsyncIterator[None]:
     """Limit the context to ``within`` seconds in which the API server answers and this process runs.
 
-    An outage of the control plane says nothing about an understudy. Raises TimeoutError.
+    An outage of the control plane says nothing about an understudy: it is added to ``outage``. Raises TimeoutError.
     """
     async with asyncio.timeout(None) as limit:
-        charging = asyncio.create_task(_charge(limit, within, context))
+        charging = asyncio.create_task(_charge(limit, within, context, outage or Outage()))
         try:
             yield
         finally:
             charging.cancel()
 
 
-async def _charge(limit: asyncio.Timeout, within: float, context: StrategyContext) -> None:
+async def _charge(limit: asyncio.Timeout, within: float, context: StrategyContext, outage: Outage) -> None:
     loop = asyncio.get_running_loop()
     charged, counted_until = 0.0, loop.time()
     while (left := within - charged) > CLOCK_RESOLUTION:  # a shorter sleep may pass without any time
@@ -264,6 +282,7 @@ async def _charge(limit: asyncio.Timeout, within: float, context: StrategyContex
         since, now = context.gate.unanswered_since, loop.time()
         answered = now - counted_until if since is None else max(0.0, since - counted_until)
         charged += min(answered, 2 * OUTAGE_CHECK_PERIOD)  # a longer sleep means that the process was stalled
+        outage.seconds += now - counted_until - answered
         counted_until = now
     limit.reschedule(loop.time())
 

@@ -41,14 +41,15 @@ class GateRecord:
     admitted_uid: str = ""
     let_through: str = ""
     """JSON of the pods that the gate let through of late, or empty."""
+    fenced: int = 0
+    """The generation of the RobotWorkload since which a user has fenced the robot; 0 if nobody has."""
 
     @classmethod
     def of(cls, gate: Object) -> GateRecord:
         """Read the record of a gate object."""
         annotations = gate["metadata"].get("annotations") or {}
-        epoch = annotations.get(names.EPOCH, "0")
         return cls(
-            epoch=int(epoch) if epoch.isdigit() else 0,
+            epoch=_number(annotations.get(names.EPOCH, "")),
             active=annotations.get(names.ACTIVE, ""),
             active_uid=annotations.get(names.ACTIVE_UID, ""),
             recovery=annotations.get(names.RECOVERY, ""),
@@ -56,7 +57,13 @@ class GateRecord:
             admitted=annotations.get(names.ADMITTED, ""),
             admitted_uid=annotations.get(names.ADMITTED_UID, ""),
             let_through=annotations.get(names.LET_THROUGH, ""),
+            fenced=_number(annotations.get(names.FENCED, "")),
         )
+
+
+def _number(text: str) -> int:
+    """Return a number that an annotation holds; 0 if it holds none."""
+    return int(text) if text.isdigit() else 0
 
 
 class Proof(Protocol):
@@ -112,10 +119,11 @@ class GateKind(ABC):
     # -- What the operator creates ------------------------------------------------------------------------------------
 
     @abstractmethod
-    def closed(self, workload: str, *, epoch: int) -> Object:
+    def closed(self, workload: str, *, epoch: int, fenced: int = 0) -> Object:
         """Return a gate object that lets nobody through. After it is created, only the monitor commits to it.
 
-        ``epoch`` is the last one known, so that the commits of a gate that somebody deleted do not become valid again.
+        ``epoch`` is the last one known, so that the commits of a gate that somebody deleted do not become valid again. ``fenced`` is as in
+        its record.
         """
 
     @abstractmethod
@@ -173,14 +181,17 @@ class GateKind(ABC):
         recovery: str = "",
         waits_for: str = "",
         let_through: str = "",
+        fenced: int = 0,
     ) -> Object:
         """Return the merge patch that names the one pod that may reach the robot (none if ``active`` is empty).
 
         It applies to exactly the record ``over``. One atomic write fences the old pod and an admitted standby, and routes the new pod.
         ``waits_for`` is the shared pool for whose pod the workload waits. ``let_through`` is the JSON of the pods that were let through
-        of late, this one included; empty to keep the list.
+        of late, this one included; empty to keep the list. ``fenced`` is the generation since which a user has fenced the robot; a gate
+        that is opened forgets it.
         """
         pinned = {names.LET_THROUGH: let_through} if let_through else {}
+        fence: Object = {names.FENCED: str(fenced)} if fenced else {names.FENCED: None} if active else {}
         return {
             "metadata": {
                 "resourceVersion": over.version,
@@ -193,6 +204,7 @@ class GateKind(ABC):
                     names.ADMITTED: "",
                     names.ADMITTED_UID: "",
                     **pinned,
+                    **fence,
                 },
             },
             **self.routing(workload, active),

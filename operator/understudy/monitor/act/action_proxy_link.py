@@ -135,6 +135,7 @@ class ActionProxyLink:
         return {
             "workload": self._view.workload,
             "workload_uid": settings.uid if settings is not None else "",
+            "pod_deleted": self._view.pod_deleted,
             "epoch": state.epoch,
             "active": state.active_uid,
             "settled": settled(self._notices.status.health, self._fleet.find(state.active_uid)),

@@ -103,10 +103,7 @@ class ActStage:
     def conclude(self, outcome: Outcome) -> None:
         """Remember the outcome of a recovery or a switchover."""
         self.unattended.conclude(outcome)
-        if outcome.concluded and outcome.kind != "NothingVerified":
-            self.garbage.remember()
         if outcome.kind == "NoLongerNeeded":
             self.opening.drop(outcome.progress)
-        if outcome.kind in ("Superseded", "Stopped"):
-            for pod in outcome.fenced:
-                self.garbage.add(pod)
+        for pod in outcome.left:
+            self.garbage.add(pod)

@@ -5,13 +5,18 @@ from __future__ import annotations
 import logging
 
 from understudy.api import names
-from understudy.api.kinds.pause_spec import Pause
+from understudy.api.kinds.pause_spec import FENCE, Pause
 from understudy.monitor.notices import Notices, PauseChanged
 from understudy.monitor.observe.objects.cluster_view import ClusterView
 
 _logger = logging.getLogger(__name__)
 
 CONDITION = "Paused"
+
+UNSEEN = Pause(
+    owner="understudy fence", reason=f"{FENCE}the gate says so, and this monitor has not received the pause yet"
+)
+"""A fence that is known from the gate alone."""
 
 
 class PauseState:
@@ -24,6 +29,8 @@ class PauseState:
         """The value of the annotation ``resumed`` while the pause was in force. A later value was written when the pause was ended."""
         self._adopted = True
         """Whether this is still the condition of an earlier monitor, which has not been compared with the spec yet."""
+        self._unseen = False
+        """Whether a user has fenced the robot by a pause that this monitor does not know yet."""
         self.ended = 0.0
         """When the last pause ended (Unix seconds). Silence before that is not a failure."""
 
@@ -31,7 +38,7 @@ class PauseState:
     def on(self) -> Pause | None:
         """The pause that was in force at the last update; None if there was none."""
         pause, in_force = self._known
-        return pause if in_force else None
+        return pause if in_force else UNSEEN if self._unseen else None
 
     def update(self, now: float) -> None:
         """Check whether a pause is in force, and report a change."""
@@ -40,8 +47,11 @@ class PauseState:
             return
         current = spec.pause
         in_force = current is not None and current.in_force(now)
-        if in_force:
+        record = self._view.gate_record
+        self._unseen = not in_force and record is not None and self._view.fenced(record, now)
+        if in_force or self._unseen:
             self.ended = now
+        if in_force:
             self._resumed = self._annotation(names.RESUMED)
         before = self._known
         if (current, in_force) == before and not self._adopted:

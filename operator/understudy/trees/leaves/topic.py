@@ -18,7 +18,7 @@ from understudy.trees.source.value_reader import found_text
 class TopicLeaf(Leaf):
     """Holds while a topic is received often enough.
 
-    - Gap: failed from the time at which the last sample is that old.
+    - Gap: failed from the time at which the last sample is that old, and the observer has not been stalled for as long.
     - Rate: failed while the count in a full window is outside the band.
 
     Before the first sample, and for a rate until the band has held for the first time, the leaf is starting until the
@@ -66,7 +66,7 @@ class TopicLeaf(Leaf):
         )
         if record is None or record.last is None or record.last < since:
             return None
-        until = record.last + self.gap if self.gap is not None else math.inf
+        until = self._gap_end(record) if self.gap is not None else math.inf
         if self.window is not None:
             arrivals = self._arrivals(record)
             if self._rate_state(self.window) != "Healthy":
@@ -86,7 +86,7 @@ class TopicLeaf(Leaf):
             moments += [self._judged_from(found, record, self.window)] if self.window is not None else []
         if record is not None and record.last is not None:
             if self.gap is not None:
-                moments.append(record.last + self.gap)
+                moments.append(self._gap_end(record))
             if self.window is not None:
                 arrivals = self._arrivals(record)
                 moments += [self.window.leaves(arrivals[0]), self.window.leaves(record.observed_since)]
@@ -119,8 +119,14 @@ class TopicLeaf(Leaf):
         record, evaluation = self._record(), self._evaluation
         if record is None or record.last is None:
             return "Starting" if evaluation.now < self._first_by else "Failed"
+        return "Healthy" if evaluation.now < self._gap_end(record) else "Failed"
+
+    def _gap_end(self, record: TopicRecord | None) -> float:
+        """Return when a gap fails if nothing more arrives. A stall of the observer may have lost samples, so the gap begins after it."""
         assert self.gap is not None
-        return "Healthy" if evaluation.now < record.last + self.gap else "Failed"
+        if record is None or record.last is None:
+            return -math.inf
+        return max(record.last, record.observed_since) + self.gap
 
     # -- for a task -------------------------------------------------------------------------------------------------
 
@@ -164,9 +170,8 @@ class TopicLeaf(Leaf):
         """Return when a gap fails if nothing more arrives. An instance that took over an active task has the grace
         instead."""
         assert self.gap is not None
-        last = record.last if record is not None and record.last is not None else -math.inf
         active_since = found.active if found.active >= self._evaluation.since else -math.inf
-        return max(found.settled, max(last, active_since) + self.gap)
+        return max(found.settled, active_since + self.gap, self._gap_end(record))
 
     def _judged_from(self, found: TaskTiming, record: TopicRecord | None, window: Window) -> float:
         """Return when a rate is judged for the first time: one window after the messages that it counts could have

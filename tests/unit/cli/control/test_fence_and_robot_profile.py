@@ -16,7 +16,7 @@ from tests.support.fake_kubectl import FakeKubectl
 from tests.support.golden import assert_golden
 from understudy.api import names
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
-from understudy.cli.control import fence, robot_profile
+from understudy.cli.control import fence, resume, robot_profile
 from understudy.controller.pods import ros_environment
 from understudy.kube.gates import registry
 from understudy.kube.gates.base import GateRecord
@@ -27,24 +27,11 @@ GATE = names.gate(ROBOT)
 REASON = ["--reason", "it is in the wrong aisle", "--owner", "ann"]
 
 
-def confirmed(item: dict[str, Any]) -> dict[str, Any]:
-    """The workload as its monitor leaves it once it has heard of the pause."""
-    condition = fleet.condition("Paused", "True", "Maintenance", "Paused by ann: fenced: it is in the wrong aisle.")
-    item["status"]["conditions"] = [*item["status"]["conditions"], condition.to_wire()]
-    return item
-
-
-@pytest.fixture(autouse=True)
-def quickly(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fence, "CONFIRM_WITHIN", 0.5)
-    monkeypatch.setattr(fence, "CHECK_PERIOD", 0.05)
-
-
 # -- fence ------------------------------------------------------------------------------------------------------------
 
 
 def test_fence_closes_the_gate_and_pauses_recovery(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
-    item = confirmed(fleet.well())
+    item = fleet.well()
     stand.tell(fleet.around(item))
     before = GateRecord.of(stand.item(GATE))
     assert fence.main([ROBOT, *REASON, "--yes"]) == 0
@@ -63,20 +50,27 @@ def test_fence_closes_the_gate_and_pauses_recovery(stand: FakeKubectl, capsys: p
     assert "robotworkloads" in written[0], "a monitor that knows of no pause would open it again"
 
 
-def test_a_closed_gate_is_unchanged(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
-    stand.tell(fleet.around(confirmed(fleet.well())))
-    assert fence.main([ROBOT, *REASON, "--yes"]) == 0
-    assert fence.main([ROBOT, *REASON, "--yes"]) == 0
-    assert_golden("control", capsys.readouterr().out.splitlines()[2], "closed at epoch 42")
-
-
-def test_a_pause_that_the_monitor_does_not_confirm_is_reported(
+def test_a_closed_gate_is_written_too_so_that_commits_under_way_are_refused(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str]
 ) -> None:
     stand.tell(fleet.around(fleet.well()))
-    assert fence.main([ROBOT, *REASON, "--yes"]) == 1
-    assert registry.DEFAULT.let_through(stand.item(GATE)) == (), "it is closed all the same"
-    assert "the monitor did not confirm the pause within 0.5 s" in capsys.readouterr().err
+    assert fence.main([ROBOT, *REASON, "--yes"]) == 0
+    assert fence.main([ROBOT, *REASON, "--yes"]) == 0
+    assert_golden("control", capsys.readouterr().out.splitlines()[2], "closed at epoch 43")
+
+
+def test_the_gate_names_the_generation_of_the_pause(stand: FakeKubectl) -> None:
+    stand.tell(fleet.around(fleet.well()))
+    assert fence.main([ROBOT, *REASON, "--yes"]) == 0
+    assert GateRecord.of(stand.item(GATE)).fenced == stand.item(ROBOT)["metadata"]["generation"] > 0
+
+
+def test_resume_frees_a_gate_whatever_its_generation(stand: FakeKubectl) -> None:
+    """A restored backup begins again at generation 1."""
+    stand.tell(fleet.around(fleet.well()))
+    assert fence.main([ROBOT, *REASON, "--yes"]) == 0
+    assert resume.main([ROBOT]) == 0
+    assert GateRecord.of(stand.item(GATE)).fenced == 0
 
 
 @pytest.mark.parametrize("option", ["--reason", "--owner"])
@@ -107,7 +101,7 @@ def test_without_confirmation_nothing_is_written(
     typed: str | None,
     words: str,
 ) -> None:
-    stand.tell(fleet.around(confirmed(fleet.well())))
+    stand.tell(fleet.around(fleet.well()))
     monkeypatch.setattr("sys.stdin", io.StringIO() if typed is None else Terminal(typed))
     assert fence.main([ROBOT, *REASON]) == 2
     assert words in capsys.readouterr().err
@@ -115,7 +109,7 @@ def test_without_confirmation_nothing_is_written(
 
 
 def test_the_user_can_confirm_in_a_terminal(stand: FakeKubectl, monkeypatch: pytest.MonkeyPatch) -> None:
-    stand.tell(fleet.around(confirmed(fleet.well())))
+    stand.tell(fleet.around(fleet.well()))
     monkeypatch.setattr("sys.stdin", Terminal("yes\n"))
     assert fence.main([ROBOT, *REASON]) == 0
 

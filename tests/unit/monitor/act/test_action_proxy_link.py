@@ -37,6 +37,7 @@ class View:
 
     spec: RobotWorkloadSpec | None
     settings: WorkloadSettings
+    pod_deleted: bool = False
     workload: str = "w"
     gates: Source = field(default_factory=Source)
     pods: Source = field(default_factory=Source)

@@ -251,6 +251,23 @@ async def test_a_commit_that_the_api_server_refuses_for_now_is_repeated_with_pau
     assert asked[-1] - asked[0] >= 0.05 + 0.1
 
 
+async def test_a_commit_on_a_dead_connection_is_sent_again(
+    client: MemoryClient, found: ClusterView, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gate_control, "TRY_WITHIN", 0.1)
+    gate, write = await open_gate(client, found, tmp_path, FAILED), client.patch
+
+    async def hang(*_: object, **__: object) -> Object:
+        monkeypatch.setattr(client, "patch", write)
+        await asyncio.Event().wait()
+        raise AssertionError
+
+    monkeypatch.setattr(client, "patch", hang)
+    async with asyncio.timeout(5):
+        await gate.commit(STANDBY, recovery())
+    assert (gate.state.active, gate.state.epoch) == (STANDBY.name, 5)
+
+
 async def test_a_commit_over_a_gate_that_was_written_meanwhile_is_repeated_at_once(
     client: MemoryClient, found: ClusterView, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

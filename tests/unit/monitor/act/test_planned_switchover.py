@@ -26,6 +26,7 @@ from understudy.failover.strategies.executing import ExecutingFallback
 from understudy.failover.strategies.initialized import InitializedFallback
 from understudy.failover.switchover import Preparation
 from understudy.monitor.act.instances.garbage_collection import GarbageCollection
+from understudy.monitor.act.instances.state_manager import StateManager
 from understudy.monitor.act.objects.cluster import Cluster
 from understudy.monitor.act.objects.gate_control import GateControl
 from understudy.monitor.act.objects.pod_control import PodControl
@@ -411,3 +412,15 @@ async def test_a_switchover_that_took_effect_late_is_settled(monkeypatch: pytest
     assert scene.switching.unsettled() == progress
     scene.notices.record(progress)
     assert scene.switching.unsettled() is None
+
+
+async def test_a_monitor_that_has_just_started_switches_once_it_knows_the_state_of_the_active_instance(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene, awaited = Scene(), ["this monitor has not yet received /pose of w-1, which is to be kept"]
+    monkeypatch.setattr(StateManager, "awaited", lambda manager: "".join(awaited))
+    scene.ask(request("failover", time.time()))
+    assert await scene.looked() is None
+    assert "has not yet received /pose" in scene.notices.message
+    awaited.clear()
+    assert await scene.looked() is not None

@@ -68,6 +68,25 @@ def test_the_pods_of_the_tests_represent_their_instances(instance: Instance) -> 
     assert instance_of(pod_of(instance)) == instance
 
 
+OWNED = {"ownerReferences": [{"kind": "RobotWorkload", "name": "w", "uid": "u", "controller": True}]}
+
+
+def test_a_claimed_pod_is_of_its_pool_although_somebody_has_removed_the_label() -> None:
+    """Else its ReplicaSet would be scaled to zero instead of deleting it, and no token would fit its agent."""
+    claimed = pod(OWNED | {"annotations": {names.CLAIM: "u/1"}})
+    claimed["spec"]["volumes"] = [
+        {"name": "tmp", "emptyDir": {}},
+        {"name": names.TOKEN_VOLUME, "secret": {"secretName": names.pool_secret("spare")}},
+    ]
+    found = instance_of(claimed)
+    assert (found.pool, found.from_source) == ("spare", False)
+
+
+def test_a_standby_without_its_label_is_not_of_the_workloads_own_controller() -> None:
+    assert not instance_of(pod(OWNED)).from_source
+    assert instance_of(pod({"ownerReferences": [{"kind": "ReplicaSet", "name": "w", "controller": True}]})).from_source
+
+
 def test_a_pod_that_is_not_deleted_is_neither_evicted_nor_leaving() -> None:
     found = instance_of(pod(conditions=[EVICTION]))
     assert (found.terminating, found.evicted, found.leaving) == (False, False, False)

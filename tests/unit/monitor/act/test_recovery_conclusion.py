@@ -111,6 +111,16 @@ def test_a_pod_that_a_superseded_recovery_had_fenced_counts_as_failed(tmp_path: 
     assert [pod.name for pod in world.garbage.failed()] == ([STANDBY.name] if has_fenced else [])
 
 
+def test_a_pod_whose_deletion_failed_is_remembered_although_somebody_has_fenced_the_robot_since(tmp_path: Path) -> None:
+    world = World(tmp_path)
+    progress = over("Recovered")
+    progress.failed = [PodIdentity(name=STANDBY.name, uid=STANDBY.uid)]
+    world.objects.put_pods(STANDBY)
+    world.objects.put_gate(GateState(epoch=9))
+    world.conclude(Outcome("Recovered", progress, world.policy))
+    assert [pod.name for pod in world.garbage.failed()] == [STANDBY.name]
+
+
 def test_after_an_error_of_the_api_server_the_recovery_is_retried_soon(tmp_path: Path) -> None:
     world = World(tmp_path)
     world.end("Stopped", error=OSError("no route"))

@@ -75,11 +75,12 @@ class NetworkPolicyGate(GateKind):
             )
         return ""
 
-    def closed(self, workload: str, *, epoch: int) -> Object:
+    def closed(self, workload: str, *, epoch: int, fenced: int = 0) -> Object:
         """Return a policy that selects no pod."""
         selector = {"matchLabels": {names.WORKLOAD: workload, names.INSTANCE: names.GATE_CLOSED}}
         policy = network_policy(names.gate(workload), selector, _OPEN)
         record = {names.EPOCH: str(epoch), names.ACTIVE: "", names.ACTIVE_UID: "", names.RECOVERY: ""}
+        record |= {names.FENCED: str(fenced)} if fenced else {}
         policy["metadata"]["annotations"] = record
         return policy
 

@@ -207,6 +207,16 @@ class StateManager:
         self._persist(time.monotonic(), at_once=True)
         return selected
 
+    def awaited(self) -> str:
+        """Return why the state of the active instance is not known yet, as after a start of this monitor; empty if it is, or was waited for
+        long enough."""
+        names = self._keeper.awaited(time.time())
+        return (
+            f"this monitor has not yet received {', '.join(names)} of {self._active}, which is to be kept"
+            if names
+            else ""
+        )
+
     def report_restored(self, recovery: Recovery) -> None:
         """Report what happened to the state in a recovery."""
         if not recovery.state:

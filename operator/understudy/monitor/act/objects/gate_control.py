@@ -17,9 +17,9 @@ from understudy.failover.abandoned import AbandonedRecovery, ended
 from understudy.failover.interfaces import GateState, Instance, NoLongerNeeded, Superseded
 from understudy.failover.pinned import PinnedPod
 from understudy.failover.progress import Progress, beside
-from understudy.kube import claims
 from understudy.kube.client import FAILURES, NO_ANSWER, ApiError, Client, Object
 from understudy.kube.gates.base import GateRecord, Proof
+from understudy.kube.repeated_requests import RETRY_FIRST, RETRY_MOST, TRY_WITHIN, answered
 from understudy.monitor.act.objects.pod_control import PodControl
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.notices import GateCommitted, Notices
@@ -27,13 +27,8 @@ from understudy.monitor.observe.objects.cluster_view import ClusterView
 
 _logger = logging.getLogger(__name__)
 
-RETRY_FIRST, RETRY_MOST = 0.05, 0.25  # seconds; an executing standby drives so soon after the API server is back
-
 WRITE_AGAIN = 1.0
 """Seconds before a failed repair of the gate is tried again."""
-
-TRY_WITHIN = 2.0
-"""Seconds after which a commit without an answer is tried again, over a new connection."""
 
 HEARD_AGAIN = 0.05
 """Seconds after the API server's return in which the robot may be heard again too, before an instance that is heard counts as failed."""
@@ -111,18 +106,19 @@ class GateControl:
     ) -> GateState:
         """Open the gate for one instance, or close it (None), at the next epoch. The record keeps the identities of leaking instances too.
 
-        ``against`` are the UIDs of those that must not reach the robot. Tries again until the API server answers. Raises ApiError if it
-        refuses, and Superseded if another monitor lets one of ``against`` through, the gate does not exist or
-        another writer changed it: during this commit, since the last commit of this recovery, or for a pod that this recovery
-        is not about. Raises NoLongerNeeded if the instance that it would fence is healthy again, or was silent because somebody deleted
-        the gate.
+        ``against`` are the UIDs of those that must not reach the robot. Tries again until the API server answers.
+
+        Raises ApiError if it refuses. Raises Superseded if another monitor lets one of ``against`` through, if a user has fenced the robot
+        and the gate would be opened, if the gate does not exist, or if another writer changed it: during this commit, since the last commit
+        of this recovery, or for a pod that this recovery is not about. Raises NoLongerNeeded if the instance that it would fence is healthy
+        again, or was silent because somebody deleted the gate.
         """
         previous = self.record
         if previous is None:
             raise Superseded(f"{self._kind.object_kind} {names.gate(self._view.workload)} does not exist")
         self._still_ours(previous, progress)
         if (instance := target) is not None:
-            await claims.answered(lambda: self._fleet.label(instance))
+            await answered(lambda: self._fleet.label(instance))
         record, retry, workload = previous, RETRY_FIRST, self._view.workload
         is_away = was_overtaken = False
         name, uid = (target.name, target.uid) if target else ("", "")
@@ -138,6 +134,8 @@ class GateControl:
         asked = time.monotonic()
         while True:
             self._still_needed(record, progress)
+            if target is not None and self._view.fenced(record, time.time()):
+                raise Superseded("a user has fenced the robot, and has not resumed it")
             try:
                 patch = self._kind.commitment(
                     workload,

@@ -14,7 +14,9 @@ from understudy.api import names
 from understudy.api.protocol.monitor_settings import WorkloadSettings
 from understudy.failover.interfaces import ClaimLost, Instance, NotAvailable
 from understudy.kube import claims
+from understudy.kube.apply import controller_of
 from understudy.kube.client import EVICTION, FAILURES, PODS, REPLICA_SETS, ApiError, Client, Object
+from understudy.kube.repeated_requests import answered
 from understudy.kube.watched_collection import any_changed
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.notices import Notices, PodClaimed
@@ -51,7 +53,7 @@ def instance_of(pod: Object) -> Instance:
         name=metadata["name"],
         uid=metadata["uid"],
         ip=status.get("podIP", ""),
-        pool=labels.get(names.POOL, ""),
+        pool=claims.pool_of(pod),
         running=status.get("phase") == "Running",
         ready=conditions.get("Ready") == "True",
         held=labels.get(names.HELD) == "true",
@@ -67,6 +69,7 @@ def instance_of(pod: Object) -> Instance:
         conditions=tuple(
             PodCondition(c["type"], c["status"], c.get("reason") or "") for c in status.get("conditions") or []
         ),
+        owned=(controller_of(pod) or {}).get("kind") == "RobotWorkload",
     )
 
 
@@ -194,10 +197,10 @@ class PodControl:
         self._crash_points.step("before replace")
         left = [i for i in self.of_workload() if i.from_source and i.usable and i.uid not in {f.uid for f in failed}]
         if self._settings.source_kind == "ReplicaSet" and not left:
-            await claims.answered(partial(self._scale, 1))
+            await answered(partial(self._scale, 1))
         for instance in failed:
             if not instance.terminating:
-                await claims.answered(partial(self._delete, instance))
+                await answered(partial(self._delete, instance))
         self._crash_points.step("after replace")
 
     async def wait(self, predicate: Callable[[Instance], bool]) -> Instance:

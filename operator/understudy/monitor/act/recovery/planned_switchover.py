@@ -114,6 +114,7 @@ class PlannedSwitchovers:
         """
         wanted = self._asked(time.time())
         now = time.monotonic()
+        lacking = lacking or self._state_manager.awaited()
         if self._task is not None:
             if wanted is None or self._wanted is None or wanted.key != self._wanted.key:
                 self._abandon("the request was withdrawn")

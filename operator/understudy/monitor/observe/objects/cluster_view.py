@@ -60,6 +60,8 @@ class ClusterView:
     ) -> None:
         """``gate`` is the kind of the workload's gate; ``me`` is this monitor's pod, if it is known."""
         self.client, self.namespace, self.workload, self.me = client, namespace, workload, me
+        self.pod_deleted = False
+        """Whether this monitor's pod was deleted while its process lives on (own_pod.py)."""
         self._wakeups = wakeups
         self.gate_kind = gate
 
@@ -168,6 +170,16 @@ class ClusterView:
     def gate_record(self) -> GateRecord | None:
         """The record of the workload's gate, as last seen or committed; None if there is no gate object."""
         return GateRecord.of(gate) if (gate := self.gate_object) is not None else None
+
+    def fenced(self, record: GateRecord, now: float) -> bool:
+        """Return whether a user has fenced the robot by this record of the gate, and may not have ended the pause yet. ``now`` is in Unix
+        seconds."""
+        item, spec = self.object, self.spec
+        if not record.fenced:
+            return False
+        if item is None or spec is None or item["metadata"].get("generation", 0) < record.fenced:
+            return True
+        return spec.pause is not None and spec.pause.in_force(now)
 
     @property
     def retired(self) -> bool:

@@ -11,8 +11,9 @@ import contextlib
 from collections.abc import AsyncIterator, Awaitable, Mapping
 
 from understudy.api import names
-from understudy.kube import claims, pod_tables
+from understudy.kube import pod_tables
 from understudy.kube.client import PODS, Client, Object
+from understudy.kube.repeated_requests import answered
 from understudy.kube.watched_collection import Reflector
 
 RUNNING = "status.phase=Running"
@@ -40,8 +41,9 @@ class Unclaimed:
         """
         labels = self._labels | ({names.PART: part} if part else {})
         labels |= {names.TEMPLATE_HASH: template_hash} if template_hash else {}
-        answer = await claims.answered(
-            lambda: self._client.table(PODS, self._namespace, labels=_selector(labels), fields=RUNNING)
+        answer = await answered(
+            lambda: self._client.table(PODS, self._namespace, labels=_selector(labels), fields=RUNNING),
+            within=None,
         )
         pods = pod_tables.pods(answer, namespace=self._namespace, labels=labels)
         self._found = {pod["metadata"]["name"]: pod for pod in pods}

@@ -1,10 +1,10 @@
-"""The rate of a topic after a stall of the observer, which loses samples: it is judged over observed time only."""
+"""A topic after a stall of the observer, which loses samples: its rate and its gap are judged over observed time only."""
 
 from __future__ import annotations
 
 import pytest
 
-from tests.unit.trees.topic_world import START, World, rate, steady
+from tests.unit.trees.topic_world import START, World, gap, rate, steady
 
 FROZEN, THAWED = 6.0, 20.0
 """Seconds at which the observer froze, and at which it continued."""
@@ -43,3 +43,27 @@ def test_an_instance_that_was_never_healthy_is_starting_after_a_stall() -> None:
     world = World(rate(TOPIC)).arrive(TOPIC, *steady(5, 0.0, 6.0))
     world.records[TOPIC].observed_since = START + 5.0
     assert world.at(6.0).state == "Starting"
+
+
+def slow(until: float, *, last: float = FROZEN + 1) -> World:
+    """A robot at 2 Hz whose observer was frozen: the queue gives samples up to ``last``, and the next one is late by half a period."""
+    world = World(gap(TOPIC, "800ms")).arrive(TOPIC, *steady(2, 0.0, FROZEN))
+    assert world.at(FROZEN).state == "Healthy"
+    world.arrive(TOPIC, *(time for time in [last, *steady(2, THAWED + 0.45, THAWED + 10)] if time <= until))
+    world.records[TOPIC].observed_since = START + THAWED + 0.25
+    return world
+
+
+def test_a_slow_topic_does_not_fail_after_a_stall() -> None:
+    for tenth in range(1, 50):
+        moment = THAWED + tenth / 10
+        found = slow(moment).at(moment)
+        assert found.state == "Healthy", f"{tenth / 10} s after the stall: {found.reason}"
+
+
+def test_a_slow_topic_that_has_ended_fails_one_gap_after_a_stall() -> None:
+    world = World(gap(TOPIC, "800ms")).arrive(TOPIC, *steady(2, 0.0, FROZEN))
+    world.records[TOPIC].observed_since = START + THAWED + 0.25
+    assert world.at(THAWED + 1.0).state == "Healthy"
+    assert world.deadline(THAWED + 1.0) == pytest.approx(THAWED + 1.05)
+    assert world.at(THAWED + 1.06).state == "Failed"

@@ -1,0 +1,47 @@
+"""Finds that this monitor's own pod was deleted while the monitor could not reach the API server.
+
+Kubernetes deletes the pods of a node that it has lost, and starts others. If the node only was cut off, their processes live on beside
+their successors, after the node's return too: its kubelet may need ten seconds to end them.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+
+from understudy.kube.client import PODS, ApiError
+from understudy.kube.repeated_requests import answered
+from understudy.monitor.observe.objects.cluster_view import ClusterView
+
+_logger = logging.getLogger(__name__)
+
+REPORTED_WITHIN = 1.0
+"""Seconds in which the action proxy learns of it, before the monitor ends."""
+
+
+class PodDeleted(Exception):
+    """This monitor's pod was deleted, so another monitor has replaced it. The text says so."""
+
+
+async def end_if_deleted(view: ClusterView) -> None:
+    """Ask for the monitor's pod when the API server answers first, and again after each outage. Raises PodDeleted."""
+    while view.me is not None:
+        await view.client.contact.back.wait()
+        view.client.contact.back.clear()
+        if await _is_deleted(view):
+            view.pod_deleted = True
+            await asyncio.sleep(REPORTED_WITHIN)
+            raise PodDeleted(
+                f"pod {view.me.name} was deleted while this monitor could not reach the API server: it ends"
+            )
+
+
+async def _is_deleted(view: ClusterView) -> bool:
+    me = view.me
+    assert me is not None, "it was checked before"
+    try:
+        pod = await answered(lambda: view.client.get(PODS, view.namespace, me.name))
+    except ApiError as error:
+        _logger.log(logging.INFO if error.not_found else logging.WARNING, "pod %s: %s", me.name, error)
+        return error.not_found
+    return "deletionTimestamp" in pod["metadata"] or me.uid not in ("", pod["metadata"]["uid"])
