@@ -50,6 +50,10 @@ MOST_KEPT = 128
 MOST_BYTES = 4 << 20
 """Bytes (in base64) of the results of ended goals that are kept: the journal is written as a whole."""
 
+EARLY = 15.0
+"""Seconds for which a request for the result of a goal that is not known here is held. The goal itself may come later, or from the
+instance: after the loss of a node, a client may hear two proxies until the node's kubelet has ended the older one."""
+
 JUST_NOW = 10.0
 """Seconds before a restart for which answers are given again: the last ones may not have been sent."""
 
@@ -114,6 +118,16 @@ class _Cancel:
     cancelled: list[str] = field(default_factory=list)
 
 
+@dataclass(frozen=True)
+class _EarlyResult:
+    """A client's request for the result of a goal that is not known yet."""
+
+    action: str
+    id: str
+    request: RequestKey
+    received: float
+
+
 class GoalLedger:
     """All goals. Times (``now``) are of the process's clock (understudy.clock)."""
 
@@ -128,18 +142,23 @@ class GoalLedger:
         self._former: set[str] = set()
         self._invited: set[str] = set()
         self._cancels: dict[RequestKey, _Cancel] = {}
+        self._early: list[_EarlyResult] = []
         self._answers: list[Answer] = []
         self._number = 0
 
     # -- what clients do --------------------------------------------------------------------------------------------
 
     def ask(self, action: str, id: str, data: str, request: RequestKey, now: float) -> None:
-        """Record a goal from a client. An id that is known is rejected, as every action server does."""
-        if id in self.goals:
-            self._answers.append(GoalAnswer(action, request, False, 0))
+        """Record a goal from a client. An id that is known is rejected, as every action server does, but not if an instance had the goal of
+        this very request from another proxy."""
+        if (known := self.goals.get(id)) is not None:
+            if known.request != request:
+                self._answers.append(GoalAnswer(action, request, False, 0))
+            elif known.phase is not Phase.PENDING:
+                self._answers.append(GoalAnswer(action, request, True, known.accepted))
             return
         self._number += 1
-        self.goals[id] = Goal(id, action, data, self._number, received=now, request=request)
+        self._add(Goal(id, action, data, self._number, received=now, request=request))
 
     def cancel(self, action: str, id: str, until: int, request: RequestKey, now: float) -> None:
         """Record a client's request to cancel goals.
@@ -161,11 +180,11 @@ class GoalLedger:
                 entry.waiting.add(goal.id)
                 goal.cancels.append(request)
 
-    def want_result(self, action: str, id: str, request: RequestKey) -> None:
-        """Record a client's request for a goal's result."""
+    def want_result(self, action: str, id: str, request: RequestKey, now: float) -> None:
+        """Record a client's request for a goal's result. That of a goal without a decision waits for the decision."""
         goal = self.goals.get(id)
-        if goal is None or goal.action != action or goal.phase is Phase.PENDING:
-            self._answers.append(ResultAnswer(action, request, UNKNOWN, ""))
+        if goal is None or goal.action != action:
+            self._early.append(_EarlyResult(action, id, request, now))
             return
         goal.results.append(request)
         if goal.end is not None:
@@ -212,7 +231,7 @@ class GoalLedger:
         goal = Goal.from_note(note, data, now)
         if goal.id in self.goals or goal.action not in self._rules:
             return
-        self.goals[goal.id] = goal
+        self._add(goal)
         self._number = max(self._number, goal.number)
         goal.charge, goal.attempts[uid] = uid, Attempt(id)
         if goal.request and goal.accepted and _is_recent(goal.accepted, now):
@@ -280,6 +299,9 @@ class GoalLedger:
                 if goal.open:
                     self._advance(goal, now)
         self._forget(now)
+        for early in [early for early in self._early if now - early.received >= EARLY]:
+            self._early.remove(early)
+            self._answers.append(ResultAnswer(early.action, early.request, UNKNOWN, ""))
         for request, entry in list(self._cancels.items()):
             if not entry.waiting:
                 del self._cancels[request]
@@ -292,6 +314,7 @@ class GoalLedger:
     def due(self, now: float) -> float | None:
         """Return the latest time for the next :meth:`advance` if nothing else happens; None for never."""
         moments = [goal.ended_at + KEPT for goal in self.goals.values() if not goal.open]
+        moments += [early.received + EARLY for early in self._early]
         for goal in self.goals.values():
             if not goal.open:
                 continue
@@ -329,6 +352,9 @@ class GoalLedger:
             "resent": self.resent,
             "former": sorted(self._former),
             "invited": sorted(self._invited),
+            "early": [
+                [early.action, early.id, early.request, CLOCK.to_system(early.received)] for early in self._early
+            ],
             "cancels": [
                 {
                     "request": request,
@@ -353,6 +379,9 @@ class GoalLedger:
         made.goals = {goal.id: goal for goal in (Goal.from_wire(one, now) for one in data["goals"])}
         made.resent = dict(data["resent"])
         made._former, made._invited = set(data["former"]), set(data["invited"])
+        for action, id, request, received in data.get("early", []):
+            at = min(CLOCK.of_system(received), now)
+            made._early.append(_EarlyResult(action, id, (request[0], request[1]), at))
         for entry in data["cancels"]:
             cancel = _Cancel(entry["action"], set(entry["waiting"]), list(entry["cancelled"]))
             made._cancels[(entry["request"][0], entry["request"][1])] = cancel
@@ -365,6 +394,14 @@ class GoalLedger:
         return made
 
     # -- inside -----------------------------------------------------------------------------------------------------
+
+    def _add(self, goal: Goal) -> None:
+        """Add a goal, with the requests for its result that came before it."""
+        self.goals[goal.id] = goal
+        mine = [early for early in self._early if (early.action, early.id) == (goal.action, goal.id)]
+        for early in mine:
+            self._early.remove(early)
+            goal.results.append(early.request)
 
     @property
     def _active(self) -> str:
@@ -418,6 +455,7 @@ class GoalLedger:
         """Reject a goal for its client."""
         if goal.request is not None:
             self._answers.append(GoalAnswer(goal.action, goal.request, False, 0))
+        self._answer_results(goal, GoalEnd(UNKNOWN, ""))
         del self.goals[goal.id]
 
     def _give_up(self, goal: Goal, now: float) -> None:

@@ -186,7 +186,7 @@ class Proxy:
             self._conclude()
 
         def result(request: RequestId, id: str) -> None:
-            self._ledger.want_result(action, id, request)
+            self._ledger.want_result(action, id, request, CLOCK.now())
             self._conclude()
 
         return RequestHandlers(goal, cancel, result)

@@ -61,14 +61,19 @@ async def _reread(client: Client, pod: Object) -> Object:
 def pool_of(pod: Object) -> str:
     """Return the pool that made a pod; empty if none did. A claimed pod whose label somebody has removed still has the Secret of its pool,
     since nobody can change that."""
-    metadata = pod["metadata"]
-    if label := (metadata.get("labels") or {}).get(names.POOL, ""):
+    if label := (pod["metadata"].get("labels") or {}).get(names.POOL, ""):
         return str(label)
-    if names.CLAIM not in (metadata.get("annotations") or {}):
-        return ""
+    evidence = pool_evidence(pod)
+    return names.pool_of_secret(evidence["secret"]["secretName"]) if evidence is not None else ""
+
+
+def pool_evidence(pod: Object) -> Object | None:
+    """Return the volume that shows the pool of a claimed pod without the label; None if the label is there."""
+    metadata = pod["metadata"]
+    if names.POOL in (metadata.get("labels") or {}) or names.CLAIM not in (metadata.get("annotations") or {}):
+        return None
     volumes = (pod.get("spec") or {}).get("volumes") or []
-    secrets = (volume["secret"]["secretName"] for volume in volumes if volume["name"] == names.TOKEN_VOLUME)
-    return names.pool_of_secret(next(secrets, ""))
+    return next((volume for volume in volumes if volume["name"] == names.TOKEN_VOLUME), None)
 
 
 def unclaimed(pod: Object) -> bool:

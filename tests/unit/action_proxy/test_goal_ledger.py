@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import uuid
+
 import pytest
 
 from tests.unit.action_proxy.ledgers import status, world
-from tests.unit.action_proxy.world import ABORTED, CANCELED, SUCCEEDED, World
-from understudy.action_proxy.client_goals import ACCEPTED, CANCELING, EXECUTING
+from tests.unit.action_proxy.world import ABORTED, ACTION, CANCELED, SUCCEEDED, World
+from understudy.action_proxy.client_goals import ACCEPTED, CANCELING, EXECUTING, Goal
 from understudy.action_proxy.goal_ledger import (
     CANCEL_ENDED,
     CANCEL_OK,
     CANCEL_REJECTED,
     CANCEL_UNKNOWN,
+    EARLY,
     REFUSED,
     UNDECIDED,
+    GoalAnswer,
 )
 
 __all__ = ["world"]  # fixtures
@@ -45,7 +49,41 @@ class TestOneInstance:
         goal = world.ask()
         assert world.accepted == {goal: False}
         world.want(goal)
+        world.later(EARLY + 1)
         assert world.results == {goal: (0, "")}
+
+    def test_a_result_can_be_requested_before_the_goal_is_decided(self, world: World) -> None:
+        """After another proxy has accepted it, which the client also hears."""
+        world.switch("", settled=False)
+        goal = world.ask()
+        world.want(goal)
+        assert world.results == {}
+        world.switch("b")
+        world.end("b", goal)
+        assert world.results == {goal: (SUCCEEDED, "b")}
+
+    @pytest.mark.parametrize("restarts", [False, True])
+    def test_a_result_can_be_requested_before_the_goal_is_known(self, world: World, restarts: bool) -> None:
+        goal = uuid.uuid4().hex
+        world.want(goal)
+        if restarts:
+            world.restart()
+        world.later(EARLY - 1)
+        assert world.results == {}
+        world.ledger.ask(ACTION, goal, "goal", world.request(goal), world.now)
+        world.go()
+        world.end("a", goal)
+        assert world.results == {goal: (SUCCEEDED, "a")}
+
+    def test_a_goal_of_a_request_that_another_proxy_has_answered_is_not_rejected(self, world: World) -> None:
+        goal, request = uuid.uuid4().hex, world.request("")
+        note = Goal(goal, ACTION, "goal", 1, 0.0, request, accepted=7).note()
+        world.ledger.adopt("a", goal, note, "goal", None, world.now)
+        world.ledger.advance(world.now)
+        world.ledger.ask(ACTION, goal, "goal", request, world.now)
+        assert world.ledger.advance(world.now) == [GoalAnswer(ACTION, request, True, 7)]
+        world.ledger.ask(ACTION, goal, "goal", ("another", 1), world.now)
+        assert world.ledger.advance(world.now) == [GoalAnswer(ACTION, ("another", 1), False, 0)]
 
     def test_an_abort_is_reported_after_a_delay(self, world: World) -> None:
         goal = world.ask()

@@ -83,7 +83,7 @@ class World:
             self.go()
 
     def want(self, goal: str) -> None:
-        self.ledger.want_result(ACTION, goal, self.request(goal))
+        self.ledger.want_result(ACTION, goal, self.request(goal), self.now)
         self.go()
 
     # -- instances --------------------------------------------------------------------------------------------------

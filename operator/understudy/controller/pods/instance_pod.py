@@ -40,7 +40,6 @@ DEFAULT_CONTAINER = "kubectl.kubernetes.io/default-container"
 """Annotation of a pod with the container whose logs kubectl shows by default."""
 
 
-
 @dataclass(frozen=True)
 class Recipe:
     """How to build pods from a template."""

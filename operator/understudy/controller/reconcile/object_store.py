@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 from understudy.api import names
 from understudy.controller.reconcile.interning import Interner
+from understudy.kube import claims
 from understudy.kube.apply import controller_of, released, released_spec
 from understudy.kube.client import PODS, Object, Resource
 from understudy.kube.gates import registry
@@ -219,6 +220,8 @@ def slim(resource: Resource, item: Object) -> Object:
         kept["spec"] = {"nodeName": (item.get("spec") or {}).get("nodeName")}
         if workload := released(item):
             kept["spec"] |= released_spec(workload)
+        if token := claims.pool_evidence(item):
+            kept["spec"]["volumes"] = [token]
         kept["status"] = _slim_status(item.get("status") or {})
     if resource.plural == "nodes":
         kept["metadata"] = {key: metadata[key] for key in ("name", "uid", "resourceVersion") if key in metadata}
