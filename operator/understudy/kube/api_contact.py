@@ -6,9 +6,9 @@ Times are of the event loop's clock.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 from collections.abc import Iterator
-from contextlib import contextmanager
 
 SLOW = 0.25
 """Seconds without an answer after which a request under way counts as unanswered. An API server at rest answers in some milliseconds."""
@@ -30,10 +30,11 @@ class ApiContact:
         """When a request was last answered."""
         self._back_at = -math.inf
         """When a request was first answered at all, or after the last outage."""
-        self.back = asyncio.Event()
-        """Set at that moment. Whoever waits for it clears it."""
+        self.returns = 0
+        """How often that was."""
+        self._back = asyncio.Event()
 
-    @contextmanager
+    @contextlib.contextmanager
     def asking(self) -> Iterator[None]:
         """Record a request while the context is open. It was answered if the context ends without an error. An API server that does
         not know who asks has not answered.
@@ -56,9 +57,23 @@ class ApiContact:
             self._failing_since, self._answered_at = None, loop.time()
             if is_back:
                 self._back_at = self._answered_at
-                self.back.set()
+                self.returns += 1
+                self._back.set()
+                self._back = asyncio.Event()
         finally:
             del self._asked[request]
+
+    async def returned(self, known: int) -> int:
+        """Wait until the API server has returned (or has answered at all) more often than ``known`` times. Returns how often it has."""
+        while self.returns <= known:
+            await self._back.wait()
+        return self.returns
+
+    async def pause(self, seconds: float) -> None:
+        """Pause for so many seconds before another try, but not longer than until the API server returns."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(seconds):
+                await self.returned(self.returns)
 
     @property
     def unanswered_since(self) -> float | None:

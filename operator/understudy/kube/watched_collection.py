@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import zlib
 from collections.abc import Awaitable, Callable, Iterable
 from typing import Protocol
 
@@ -40,6 +41,8 @@ class Reflector:
         self._client, self._resource, self._namespace = client, resource, namespace
         self._labels, self._fields, self._cached = labels, fields, cached
         self._on_change = on_change
+        self._stagger = 0.5 + zlib.crc32(f"{resource.plural} {labels} {fields}".encode()) % 100 / 200
+        """So that a process notices the API server's return by one of its watches, and does not ask with all of them at once."""
         self._changed = asyncio.Event()
         self._reported = 0
         """The version up to which the last list and the watch have reported everything."""
@@ -62,7 +65,7 @@ class Reflector:
             except FAILURES as error:
                 level = logging.DEBUG if retry == RETRY_FIRST else logging.WARNING
                 _logger.log(level, "watching %s in %s: %s", self._resource.plural, self._namespace, error)
-                await asyncio.sleep(retry)
+                await self._client.contact.pause(retry * self._stagger)
                 retry = min(retry * 2, RETRY_MOST)
 
     async def _relist(self) -> str:

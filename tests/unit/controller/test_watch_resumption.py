@@ -12,6 +12,7 @@ import pytest
 from tests.unit.controller.world import pod
 from understudy.controller.runtime import watches
 from understudy.controller.runtime.resync import TREES
+from understudy.kube.api_contact import ApiContact
 from understudy.kube.client import CONFIG_MAPS, NODES, PODS, Client, Expired, Object, Resource
 
 Event = tuple[str, Object]
@@ -28,6 +29,7 @@ class Scripted(Client):
     """Watches of pods that bring some events and then end on command; all others are silent."""
 
     def __init__(self, *scripts: tuple[Sequence[Event], Exception | None]) -> None:
+        self.contact = ApiContact()
         self._scripts = iter(scripts)
         self.started: list[str] = []
         self.asked: list[tuple[Resource, str | None, str | None]] = []

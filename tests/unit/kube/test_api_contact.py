@@ -108,3 +108,30 @@ async def test_the_api_server_is_just_back_for_a_while_after_an_outage(monkeypat
     assert answered(), "one answer does not end it"
     await asyncio.sleep(0.06)
     assert not answered()
+
+
+async def test_a_pause_between_two_tries_ends_when_another_request_is_answered() -> None:
+    contact, loop = ApiContact(), asyncio.get_running_loop()
+    await fails(contact)
+    began = loop.time()
+    pausing = asyncio.create_task(contact.pause(60.0))
+    await asyncio.sleep(0.02)
+    assert not pausing.done()
+    with contact.asking():
+        pass
+    await asyncio.wait_for(pausing, 1)
+    await contact.pause(0.02)
+    assert 0.03 <= loop.time() - began < 5.0, "a pause lasts its time if there was no outage"
+
+
+async def test_each_return_is_noticed_by_everybody_who_waits() -> None:
+    contact = ApiContact()
+    waiting = [asyncio.create_task(contact.returned(0)) for _ in range(2)]
+    await asyncio.sleep(0)
+    with contact.asking():
+        pass
+    assert await asyncio.gather(*waiting) == [1, 1]
+    await fails(contact)
+    with contact.asking():
+        pass
+    assert await contact.returned(1) == 2

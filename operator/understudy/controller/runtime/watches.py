@@ -80,7 +80,7 @@ async def _keep(client: Client, see: See, resource: Resource, labels: str | None
         except FAILURES as error:
             level = logging.DEBUG if retry < RETRY_MOST else logging.WARNING
             _logger.log(level, "watching %s: %s", resource.plural, error or type(error).__name__)
-            await asyncio.sleep(retry)
+            await client.contact.pause(retry)
             retry = min(retry * 2, RETRY_MOST)
 
 

@@ -12,6 +12,7 @@ import pytest
 from understudy.api import names
 from understudy.api.kinds.fallback_pool import Readiness
 from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
+from understudy.kube.api_contact import ApiContact
 from understudy.kube.client import (
     CONFIG_MAPS,
     NETWORK_POLICIES,
@@ -34,6 +35,7 @@ class Server(Client):
     """Keeps objects and brings what changes to who watches them; refuses what it's told to."""
 
     def __init__(self) -> None:
+        self.contact = ApiContact()
         self.items: dict[tuple[str, str], Object] = {}
         self.open: list[tuple[Watch, asyncio.Queue[tuple[str, Object]]]] = []
         self.refused: set[str | None] = set()

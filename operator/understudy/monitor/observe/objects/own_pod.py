@@ -25,9 +25,9 @@ class PodDeleted(Exception):
 
 async def end_if_deleted(view: ClusterView) -> None:
     """Ask for the monitor's pod when the API server answers first, and again after each outage. Raises PodDeleted."""
+    returns = 0
     while view.me is not None:
-        await view.client.contact.back.wait()
-        view.client.contact.back.clear()
+        returns = await view.client.contact.returned(returns)
         if await _is_deleted(view):
             view.pod_deleted = True
             await asyncio.sleep(REPORTED_WITHIN)
