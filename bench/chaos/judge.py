@@ -224,7 +224,8 @@ class Judgement:
     unled: list[float] = field(default_factory=list)
     """Seconds without an operator that led, which restores what somebody deletes."""
     restarted_unwatched: list[int] = field(default_factory=list)
-    """Steps that an instance lost that restarted in place while no monitor watched it."""
+    """Steps that an instance lost that restarted in place while no monitor watched it, or the API server was away so that nobody could
+    fence it."""
     unkept: list[int] = field(default_factory=list)
     """Steps that were lost because they were made while no monitor ran, or before a new one had received the instance."""
     unwatched: list[float] = field(default_factory=list)
@@ -320,7 +321,8 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
             violation("gap", begin + length, text, begin)
     for last, first, steps in lost_steps(seen):
         at, pods = first.received, (last.source, first.source)
-        if pods[0] == pods[1] and covered(unwatched(seen, theirs), at - 1.0, at):
+        alone = covered(unwatched(seen, theirs), at - 1.0, at) or is_unfenceable(seen, injected, first.source, at)
+        if pods[0] == pods[1] and alone:
             found.restarted_unwatched.append(steps)
             continue
         if any(returned(seen.nodes.get(pod, ""), at, injected) is not None for pod in pods):
@@ -349,6 +351,13 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
         if count > 1:
             violation("goal doubled", 0.0, f"goal {goal[:8]} was finished by {count} instances")
     return found
+
+
+def is_unfenceable(seen: Seen, injected: Sequence[Injected], pod: str, at: float) -> bool:
+    """Return whether a failure of a pod was known, and the API server was away until its processes sent again at a time."""
+    outages = [one.waiting for one in injected if one.fault.kind in API]
+    known = (one.moments.get("detected", math.inf) for one in seen.recoveries if one.old == pod)
+    return any(since <= at <= since + covered(outages, since, at) + ENFORCEMENT for since in known)
 
 
 def _dated(commits: Sequence[Commit], recoveries: Sequence[Recovered]) -> list[Commit]:

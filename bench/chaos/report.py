@@ -78,7 +78,11 @@ def summarize(
     if judgements and (unled := judgements[0].unled):
         report.figure("time without an operator that leads", unled, unit="s")
     if restarted := [steps for judgement in judgements for steps in judgement.restarted_unwatched]:
-        report.figure("steps lost by an instance that restarted in place without a monitor", restarted, unit="steps")
+        report.figure(
+            "steps lost by an instance that restarted in place without a monitor or an API server",
+            restarted,
+            unit="steps",
+        )
     if unkept := [steps for judgement in judgements for steps in judgement.unkept]:
         report.figure("steps lost that were made without a monitor", unkept, unit="steps")
     if astray := [seconds for judgement in judgements for seconds in judgement.astray]:

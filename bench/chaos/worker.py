@@ -81,7 +81,7 @@ def drive() -> None:
     """Run the application."""
     rclpy.init()
     try:
-        executor = MultiThreadedExecutor(num_threads=4)
+        executor = MultiThreadedExecutor(num_threads=16)  # each goal takes one
         executor.add_node(Worker())
         executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException):

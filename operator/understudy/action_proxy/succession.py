@@ -4,7 +4,7 @@ A monitor's pod may outlive its deletion, on a node that counts as lost. Kuberne
 actions. A client takes the first answer, and the replaced proxy may answer that a goal is unknown, because agents refuse its requests.
 Neither Kubernetes nor the operator can end a process on a node that they cannot reach. So the proxies of a workload announce themselves to
 each other in the ROS graph, where their clients are too, and each one ends that another one replaces. After the node's return, discovery
-may take longer than the API server's first answer, by which the monitor learns that their pod was deleted.
+may take longer than the API server's first answer. From that answer, the monitor learns that their pod was deleted.
 
 A proxy that was replaced starts again, and serves once it has heard none for a while that replaces it: the other one may have been removed,
 or the own monitor has learned of a later switch.

@@ -14,7 +14,7 @@ _logger = logging.getLogger(__name__)
 CONDITION = "Paused"
 
 UNSEEN = Pause(
-    owner="understudy fence", reason=f"{FENCE}the gate says so, and this monitor has not received the pause yet"
+    owner="understudy fence", reason=f"{FENCE}known from the gate, since this monitor has not received the pause yet"
 )
 """A fence that is known from the gate alone."""
 

@@ -431,6 +431,16 @@ def test_what_an_instance_did_while_its_monitor_was_frozen_is_kept_by_nobody() -
     assert whats(judged(commands, killed, frozen, steps=steps, **more)) == []
 
 
+@pytest.mark.parametrize(("begun", "expected"), [(6.6, []), (-30.0, ["state lost"])])
+def test_an_instance_may_restart_in_place_while_nobody_can_fence_it(begun: float, expected: list[str]) -> None:
+    commands = log(drive("a", 1, 10), drive("a", 11.9, 12.6), drive("b", 13.0, 20))
+    steps = {c.sequence: c.sequence - (180 if 11 < c.received < 12.7 else 0) for c in commands}
+    more: Any = {"commits": [Commit(0.0, 1, ("a",)), Commit(12.62, 2, ("b",))], "recoveries": [recovery(11.0, 12.9)]}
+    stopped = fault("api-stop", begun, begun + 5.9, robot=-1, number=2)
+    found = judged(commands, KILLED, stopped, steps=steps, **more)
+    assert [what for what in whats(found) if what == "state lost"] == expected
+
+
 def test_what_an_instance_did_after_it_was_fenced_is_no_lost_state() -> None:
     returned = [Command(15.0, "a", 0, 15.0, *[0.0] * 6)]
     commands = log(drive("a", 1, 10), drive("b", 10.62, 14.9), returned, drive("b", 15.01, 20))

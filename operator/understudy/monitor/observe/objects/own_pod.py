@@ -20,7 +20,7 @@ REPORTED_WITHIN = 1.0
 
 
 class PodDeleted(Exception):
-    """This monitor's pod was deleted, so another monitor has replaced it. The text says so."""
+    """This monitor's pod was deleted, so another monitor has replaced it. The text is for the log."""
 
 
 async def end_if_deleted(view: ClusterView) -> None:
