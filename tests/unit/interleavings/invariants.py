@@ -92,9 +92,12 @@ class Invariants:
             self._gate(old, new)
 
     def _ended_by_monitor(self, pod: Object, by: str) -> None:
-        """No understudy that never failed is deleted, except one that was claimed: it cannot be given back."""
+        """No understudy that never failed is deleted, except one that was claimed, since it cannot be given back, and one that is to leave
+        its node."""
         found = self._robots.running.get(pod["metadata"]["uid"])
         if found is None or found.harmed or not found.up or _claimed(pod) or names.SOURCE in _labels(pod):
+            return
+        if not self._stays(pod):
             return
         self._broken(f"{by} deletes {found.name}, which has never failed")
 

@@ -9,6 +9,7 @@ from tests.unit.interleavings.actors import NAMESPACE
 from tests.unit.interleavings.apiserver import EPOCH, ApiServer
 from understudy.api import names
 from understudy.api.kinds.pause_spec import FENCE
+from understudy.cli.control.fence import fencing
 from understudy.failover.progress import rfc3339
 from understudy.kube.client import Object
 from understudy.kube.gates.base import GateRecord
@@ -52,7 +53,7 @@ class Pauses:
         gate = self._server.get("networkpolicies", (NAMESPACE, names.gate(robot)))
         if gate is not None:
             generation = self._server.items["robotworkloads"][(NAMESPACE, robot)]["metadata"]["generation"]
-            closed = GATE.commitment(robot, over=GateRecord.of(gate), fenced=generation)
+            closed = fencing(GATE, robot, GateRecord.of(gate), generation)
             self._patch("networkpolicies", names.gate(robot), closed)
             self._fenced.add(robot)
 

@@ -140,7 +140,7 @@ def test_forgotten_expectations_are_detected() -> None:
 
 def test_a_claim_with_a_lost_answer_that_counts_as_refused_is_detected() -> None:
     with (
-        mock.patch.object(claims, "_unanswered", return_value=False),
+        mock.patch.object(claims, "unanswered", return_value=False),
         mock.patch.object(GarbageCollection, "housekeeping"),
     ):
         assert found("nobody deletes it", SHARED, "all_fail", weather=3.0, first=3)

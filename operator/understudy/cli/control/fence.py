@@ -13,6 +13,8 @@ from understudy.cli.common.errors import CommandError, reports_errors
 from understudy.cli.common.text import terminal
 from understudy.cli.common.text.wording import wrapped
 from understudy.cli.control import signature
+from understudy.failover.abandoned import ended
+from understudy.failover.progress import beside
 from understudy.kube.client import Object
 from understudy.kube.gates import registry
 from understudy.kube.gates.base import GateKind, GateRecord
@@ -65,7 +67,7 @@ def _close(kubectl: Kubectl, name: str, kind: GateKind, generation: int) -> tupl
             raise CommandError(f"{what} does not exist, so no instance is let through: see understudy explain {name}")
         record = GateRecord.of(gate)
         try:
-            kubectl.patch(resource, names.gate(name), kind.commitment(name, over=record, fenced=generation))
+            kubectl.patch(resource, names.gate(name), fencing(kind, name, record, generation))
         except CommandError:
             found = kubectl.find(resource, names.gate(name))
             if found is None or GateRecord.of(found).version == record.version:
@@ -75,6 +77,17 @@ def _close(kubectl: Kubectl, name: str, kind: GateKind, generation: int) -> tupl
     raise CommandError(
         f"other processes keep changing {what}, so it could not be closed. To stop the active instance, delete its pod"
     )
+
+
+def fencing(kind: GateKind, name: str, over: GateRecord, generation: int) -> Object:
+    """Return the patch that closes the gate until the pause of this generation ends.
+
+    A recovery under way ends. Its record stays, since it names the pods that have failed and are to be deleted.
+    """
+    recovery = over.recovery
+    if (found := beside(recovery)) is not None and found.result == "Running":
+        recovery = ended(found).model_dump_json()
+    return kind.commitment(name, over=over, recovery=recovery, fenced=generation)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -11,14 +11,16 @@ import aiohttp
 import pytest
 
 from tests.unit.kube.memory import MemoryClient
-from tests.unit.monitor.cluster_objects import ClusterObjects
+from tests.unit.monitor.cluster_objects import ClusterObjects, workload_spec
 from tests.unit.monitor.gates import gate as open_gate
 from understudy.api import names
+from understudy.api.kinds.pause_spec import FENCE
+from understudy.cli.control.fence import fencing
 from understudy.failover import pinned
 from understudy.failover.abandoned import AbandonedRecovery
 from understudy.failover.interfaces import GateState, Instance, NoLongerNeeded, Superseded
 from understudy.failover.progress import PodIdentity, Progress
-from understudy.kube.client import NETWORK_POLICIES, ApiError, Object
+from understudy.kube.client import NETWORK_POLICIES, WORKLOADS, ApiError, Object
 from understudy.kube.gates.base import GateRecord
 from understudy.kube.gates.kinds.network_policy import GATE
 from understudy.monitor.act.objects import gate_control
@@ -266,6 +268,31 @@ async def test_a_commit_on_a_dead_connection_is_sent_again(
     async with asyncio.timeout(5):
         await gate.commit(STANDBY, recovery())
     assert (gate.state.active, gate.state.epoch) == (STANDBY.name, 5)
+
+
+@pytest.mark.parametrize(("generation", "paused"), [(6, False), (7, True)])
+async def test_a_gate_that_a_user_has_fenced_stays_closed_until_the_pause_has_ended(
+    client: MemoryClient, found: ClusterView, tmp_path: Path, generation: int, paused: bool
+) -> None:
+    """Also for a monitor that has received neither the pause, since its watch is half-open, nor the closed gate."""
+    gate = await open_gate(client, found, tmp_path, FAILED)
+
+    def workload(generation: int, **spec: Any) -> None:
+        item = {"metadata": {"name": "w", "generation": generation}, "spec": workload_spec(**spec)}
+        found.workloads.put(client.store(WORKLOADS, "fleet", item))
+
+    workload(generation, **({"pause": {"owner": "ann", "reason": f"{FENCE}it is in the way"}} if paused else {}))
+    over = GateRecord.of(await client.get(NETWORK_POLICIES, "fleet", "w-gate"))
+    await GATE.write(client, "fleet", "w", fencing(GATE, "w", over, 7))
+    with pytest.raises(Superseded):
+        await gate.commit(STANDBY, recovery())
+    assert gate.record is not None
+    assert (gate.record.fenced, gate.state.closed) == (7, True)
+    with pytest.raises(Superseded, match="a user has fenced the robot"):
+        await gate.commit(STANDBY, None)
+    workload(8)
+    await gate.commit(STANDBY, None)
+    assert (gate.state.active, gate.record.fenced) == (STANDBY.name, 0)
 
 
 async def test_a_commit_over_a_gate_that_was_written_meanwhile_is_repeated_at_once(

@@ -9,9 +9,11 @@ import pytest
 
 from tests.support.golden import assert_golden
 from tests.support.notices import RecordedNotices
-from tests.unit.monitor.cluster_objects import ClusterObjects
+from tests.unit.monitor.cluster_objects import NAMESPACE, ClusterObjects
 from understudy.api import names
 from understudy.api.kinds.pause_spec import Pause
+from understudy.failover.interfaces import GateState
+from understudy.kube.client import NETWORK_POLICIES
 from understudy.monitor.decide.pause_state import PauseState
 from understudy.monitor.notices import PublishedStatus
 
@@ -33,6 +35,13 @@ class World:
         """Pause the workload, or end its pause."""
         spec = pause.to_wire() if pause is not None else None
         self._objects.put_workload(annotations=annotations, pause=spec)
+
+    def fence(self, generation: int) -> None:
+        """Close the gate by a pause of this generation."""
+        self._objects.put_gate(GateState(epoch=4))
+        gate = dict(self._objects.view.gates.items[names.gate("w")])
+        gate["metadata"] = gate["metadata"] | {"annotations": {names.FENCED: str(generation)}}
+        self._objects.view.gates.put(self._objects.client.store(NETWORK_POLICIES, NAMESPACE, gate))
 
     @property
     def events(self) -> list[tuple[str, str]]:
@@ -141,3 +150,15 @@ def test_a_workload_without_a_pause_has_no_condition_about_it() -> None:
     world.pauses.update(1000.0)
     assert world.paused_condition is None
     assert world.notices.changes == 0
+
+
+def test_a_fence_is_a_pause_before_the_monitor_has_received_the_pause() -> None:
+    world = World()
+    world.pauses.update(1000.0)
+    assert world.pauses.on is None
+    world.fence(generation=2)
+    world.pauses.update(1001.0)
+    assert world.pauses.on is not None
+    assert world.pauses.on.is_fence
+    assert world.pauses.ended == 1001.0, "silence until now is no failure"
+    assert world.events == [], "the pause itself is reported"
