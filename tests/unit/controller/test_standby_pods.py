@@ -41,6 +41,15 @@ class TestStandbys:
         world.expected = {"hot": 2}
         assert not created(world.plan(), "pods")
 
+    def test_no_standby_is_created_for_one_whose_label_is_being_restored(self) -> None:
+        world = World(workload(), policy("hot"), hot())
+        standby = standby_pod("w-s", of=world.workload, template_hash=world.template_hash)
+        del standby["metadata"]["labels"][names.POOL]
+        world.pods = [standby, source_pod("w-a", template_hash=world.own_hash)]
+        plan = world.plan()
+        assert patched(plan, "pods")["w-s"]["metadata"]["labels"][names.POOL] == "hot"
+        assert not created(plan, "pods")
+
     def test_an_active_standby_counts_so_that_no_further_one_is_created(self) -> None:
         world = World(workload(), policy("hot"), hot())
         active = standby_pod("w-s", of=world.workload)

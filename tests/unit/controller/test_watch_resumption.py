@@ -9,11 +9,12 @@ from typing import Any
 import aiohttp
 import pytest
 
-from tests.unit.controller.world import pod
+from tests.unit.controller.world import pod, standby_pod, workload
+from understudy.controller.reconcile.object_store import Store
 from understudy.controller.runtime import watches
-from understudy.controller.runtime.resync import TREES
+from understudy.controller.runtime.resync import TREES, ListCycle
 from understudy.kube.api_contact import ApiContact
-from understudy.kube.client import CONFIG_MAPS, NODES, PODS, Client, Expired, Object, Resource
+from understudy.kube.client import CONFIG_MAPS, NODES, PODS, ApiError, Client, Expired, Object, Part, Resource
 
 Event = tuple[str, Object]
 BOOKMARK = "BOOKMARK"
@@ -113,3 +114,33 @@ async def test_nodes_are_watched_in_the_cluster_and_config_maps_by_label() -> No
         ("one", TREES),
         ("two", TREES),
     ]
+
+
+class WithoutLabels(Client):
+    """Has pods of Understudy that no list by label contains."""
+
+    def __init__(self, *names_: str) -> None:
+        self.names = names_
+
+    async def parts(self, *_: Any, **__: Any) -> AsyncIterator[Part]:
+        yield Part.of(b'{"kind":"List","apiVersion":"v1","metadata":{"resourceVersion":"9"},"items":[]}')
+
+    async def get(self, resource: Resource, namespace: str | None, name: str) -> Object:
+        if name not in self.names:
+            raise ApiError(404, "NotFound", name)
+        return unlabelled(name)
+
+
+def unlabelled(name: str) -> Object:
+    item = standby_pod(name, of=workload("w"))
+    return {**item, "metadata": {**item["metadata"], "labels": {}}}
+
+
+async def test_a_list_finds_that_a_pod_is_gone_whose_labels_somebody_had_removed() -> None:
+    """Its watch may have missed that, and no list contains it."""
+    store = Store()
+    for name in ("w-1", "w-2"):
+        store.put(PODS, unlabelled(name))
+    changes = await ListCycle(WithoutLabels("w-1"), store, ()).resync()
+    assert [one.old["metadata"]["name"] for one in changes if one.old is not None and one.new is None] == ["w-2"]
+    assert [item["metadata"]["name"] for item in store.all(PODS)] == ["w-1"]

@@ -28,6 +28,9 @@ KNOWN = 70.0
 """Seconds within which an operator knows of a pool's new size, or of a pod that has gone: two of its lists, and their longest waits."""
 
 
+FOLLOWS = 0.05
+"""Seconds within which the network has followed a change of labels."""
+
 STALE = 3.0
 """Seconds for which an instance has been healthy again before it must not be fenced for a failure before that."""
 
@@ -53,6 +56,10 @@ class Invariants:
         """When pods of the workloads' own controllers have gone: an operator may still see them."""
         self.failed: dict[str, float] = {}
         """Pods that failed for good while they were in control, and when."""
+        self._tampered: dict[str, dict[str, str]] = {}
+        """By UID, the labels of pods of which somebody has edited some, until they have been restored."""
+        self._restored_at: dict[str, float] = {}
+        """By UID, when that was: the network needs a moment to follow."""
         self.fenced: set[str] = set()
         """Robots whose gate a user has closed: it stays closed until the user resumes the workload."""
         self.commits = self.claims = self.creations = 0
@@ -71,7 +78,9 @@ class Invariants:
     def see(self, plural: str, old: Object | None, new: Object | None, by: str) -> None:
         """A write was made."""
         if plural == "pods":
-            self._owners(old, new)
+            self._restored(new)
+            if by != "somebody":
+                self._owners(old, new)
             if old is None and new is not None and by.startswith("operator"):
                 self._created(new, by)
             if old is not None and _labels(old).get(names.SOURCE) == "workload" and _deleted(old, new):
@@ -90,6 +99,20 @@ class Invariants:
             self._emptied[_name(new)] = math.inf if leaving_nodes.is_cordoned(new) else self._robots.now + KNOWN
         elif plural == "networkpolicies" and new is not None and _name(new).endswith("-gate"):
             self._gate(old, new)
+
+    def tampered(self, pod: Object) -> None:
+        """Somebody edits labels of a pod."""
+        wanted = {key: value for key, value in _labels(pod).items() if key in (names.WORKLOAD, names.POOL)}
+        self._tampered.setdefault(pod["metadata"]["uid"], wanted | {names.INSTANCE: _name(pod)})
+
+    def _is_tampered(self, uid: str) -> bool:
+        return uid in self._tampered or self._robots.now - self._restored_at.get(uid, -math.inf) < FOLLOWS
+
+    def _restored(self, pod: Object | None) -> None:
+        uid = pod["metadata"]["uid"] if pod is not None else ""
+        if pod is not None and self._tampered.get(uid, {}).items() <= _labels(pod).items():
+            if self._tampered.pop(uid, None) is not None:
+                self._restored_at[uid] = self._robots.now
 
     def _ended_by_monitor(self, pod: Object, by: str) -> None:
         """No understudy that never failed is deleted, except one that was claimed, since it cannot be given back, and one that is to leave
@@ -183,6 +206,8 @@ class Invariants:
         found = []
         for pod in self._server.items["pods"].values():
             labels = _labels(pod)
+            if pod["metadata"]["uid"] in self._tampered:
+                continue
             if labels.get(names.WORKLOAD) == workload and labels.get(names.INSTANCE) in through:
                 found.append(_name(pod))
         return found
@@ -231,7 +256,8 @@ class Invariants:
         """No two pods reach a robot at once, but for what is left of one whose object is gone, and for nodes that enforce old gates."""
         self.drivers.routed(robot)
         found = [r for r in self._heard(robot) if r.exists]
-        if len(found) > 1 and not any(self._robots.nodes.is_late(r.node) for r in found):
+        excused = any(self._robots.nodes.is_late(r.node) or self._is_tampered(r.uid) for r in found)
+        if len(found) > 1 and not excused:
             self._broken(f"{robot} is driven by {' and '.join(r.name for r in found)} at once")
 
     def _heard(self, robot: str) -> list[Running]:

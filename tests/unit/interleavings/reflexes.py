@@ -142,7 +142,8 @@ class Reflexive(Simulation):
             and monitors[0].process not in self.network.cut_off
             and robot not in self.mine.apart
             and not self.mine.cuts
-            and (self.network.weather == Weather())
+            and self.network.weather == Weather()
+            and not self.pauses.is_paused(robot)
         )
         return not well or "NothingVerified" in cast(ReflexMonitor, monitors[0]).says("Recovering")
 

@@ -120,7 +120,7 @@ class ReflexInvariants(Invariants):
     def _recovering(self, workload: str, record: GateRecord) -> None:
         """A recovery has committed: what the reflex did is built upon."""
         taken = Progress.model_validate_json(record.recovery).taken_over
-        if taken is None:
+        if taken is None or record.fenced:
             return
         self.robots.counts["fell over"] += taken.uid == record.active_uid
         found = self.robots.running.get(taken.uid)
@@ -155,7 +155,7 @@ class ReflexInvariants(Invariants):
         if driver or self.taken.get(robot):
             self._driven[robot] = now  # also between two looks
         self.taken[robot] = driver
-        if not driver:
+        if not driver or self._is_tampered(driver):
             return
         found, agent = robots.running[driver], robots.agents[driver]
         shut = self._shut_out.get(robot, {}).get(driver)

@@ -538,6 +538,8 @@ class Robots:
             return found.sends  # no policy holds back what isn't there
         pod = self.server.get("pods", found.place)
         labels = _labels(pod) if pod is not None else {}
+        if names.WORKLOAD not in labels and REFERRED not in labels:
+            return True  # no policy selects it
         allowed = self.nodes.let_through(found.node, robot, allowed)
         return labels.get(names.WORKLOAD) == robot and labels.get(names.INSTANCE) in allowed
 

@@ -20,7 +20,10 @@ from tests.unit.interleavings import network, simulation
 from tests.unit.interleavings.comparison import observed_alike, unconditional, without
 from tests.unit.interleavings.scenes import SCENES, Outcome, Scene
 from understudy.agent.agent_memory import AgentMemory
+from understudy.api import names
 from understudy.api.protocol import agent_messages
+from understudy.controller.desired import standby_pods
+from understudy.controller.plan import Patch
 from understudy.controller.reconcile.executor import Executor
 from understudy.controller.reconcile.expectations import Expectations
 from understudy.failover import protocol
@@ -35,6 +38,7 @@ from understudy.kube.leader_election import Lease
 from understudy.monitor.act import safe_commands
 from understudy.monitor.act.gate.leak_response import LeakResponse
 from understudy.monitor.act.instances.garbage_collection import GarbageCollection
+from understudy.monitor.act.instances.pod_labels import PodLabels
 from understudy.monitor.act.objects import gate_control
 from understudy.monitor.act.objects.gate_control import GateControl
 from understudy.monitor.act.recovery.abandonment import Abandonment
@@ -42,6 +46,7 @@ from understudy.monitor.judge import sole_driver
 from understudy.monitor.judge.reassessment import Reassessment
 from understudy.monitor.judge.sole_driver import SoleDriver
 from understudy.monitor.observe import agent_connections
+from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.report.status_writer import StatusWriter
 from understudy.state.state_capture import Version, _Item
 from understudy.state.state_store import StateStore
@@ -144,6 +149,26 @@ def test_a_claim_with_a_lost_answer_that_counts_as_refused_is_detected() -> None
         mock.patch.object(GarbageCollection, "housekeeping"),
     ):
         assert found("nobody deletes it", SHARED, "all_fail", weather=3.0, first=3)
+
+
+def test_a_monitor_that_does_not_read_a_fence_at_the_gate_is_detected() -> None:
+    with mock.patch.object(ClusterView, "fenced", return_value=False):
+        troubles = ("somebody_fences", "second_monitor", "monitor_dies")
+        assert found("a user has fenced it", EXECUTING, *troubles, weather=2.0, first=9)
+
+
+def test_a_label_that_nobody_restores_is_detected() -> None:
+    restored = standby_pods.relabelled
+
+    def forgetful(*arguments: Any) -> list[Patch]:
+        return [one for one in restored(*arguments) if names.WORKLOAD in one.item["metadata"].get("labels", {})]
+
+    with (
+        mock.patch.object(standby_pods, "relabelled", forgetful),
+        mock.patch.object(PodLabels, "follow"),
+        mock.patch.object(LeakResponse, "respond", return_value=False),
+    ):
+        assert found("drive robot-", EXECUTING, "labels_are_edited")
 
 
 def test_the_deletion_of_a_claimed_pod_is_detected() -> None:

@@ -52,6 +52,7 @@ TROUBLES = {
     "pool_is_resized": 3,
     "template_changes": 2,
     "something_is_deleted": 1,
+    "labels_are_edited": 2,
     "somebody_pauses": 1,
     "somebody_fences": 2,
     "node": 1,
@@ -68,6 +69,9 @@ FAILURES = ("freezes", "crashes", "fails", "deleted", "deleted by force", "stops
 
 WATCHED = ("pods", "networkpolicies", "robotworkloads")
 """What a monitor learns from watches that may be half-open."""
+
+OURS = (names.WORKLOAD, names.INSTANCE, names.POOL, names.COMPONENT)
+"""Labels of instances."""
 
 STEPS = (-60.0, -5.0, -0.7, 0.7, 5.0, 60.0)
 """How many seconds a clock is set forward, or back."""
@@ -364,6 +368,29 @@ class Troubles(SimulatedCluster):
                 and (owner["kind"], owner["name"]) == ("ReplicaSet", place[1])
             ):
                 self.robots.delete(pod, by=f"the garbage collector, of {pod_place[1]}")
+
+    def _labels_are_edited(self) -> None:
+        """By somebody: labels that the policies of a gate select by, and that show whose a pod is."""
+        found = [one for one in self.robots.running.values() if one.exists and one.robot and not one.held]
+        if not found:
+            return
+        running = self.choices.choice(sorted(found, key=lambda one: one.uid))
+        pod = self.server.get("pods", running.place)
+        active = self.robots.running.get(self._active(running.robot))
+        if pod is None or pod["metadata"]["uid"] != running.uid or "deletionTimestamp" in pod["metadata"]:
+            return
+        edits: list[dict[str, str | None]] = [{names.INSTANCE: None}]
+        edits += [{names.INSTANCE: active.name}] if active is not None else []
+        owner = apply.controller_of(pod)
+        if owner is not None and owner["kind"] == "RobotWorkload":  # others release a pod whose labels have changed
+            edits += [{names.WORKLOAD: None}, {names.POOL: None}, dict.fromkeys(OURS)]
+        edit = self.choices.choice(edits)
+        self.note(f"somebody edits labels of {running.name}: {edit}")
+        running.harmed = True
+        self.invariants.tampered(pod)
+        self.server.update(
+            "pods", running.place, lambda item: apiserver.merged(item, {"metadata": {"labels": edit}}), "somebody"
+        )
 
     def _node(self) -> None:
         node = self.choices.choice(NODES)

@@ -53,13 +53,14 @@ def keep(made: Plan, observed: Observed, workload_plan: WorkloadPlan, pool: str,
     owner = kube_objects.owner("RobotWorkload", workload)
     if observed.refused(pool) is not None:
         return
-    mine = [
+    unclaimed = [
         pod
         for pod in observed.pods
-        if kube_objects.labels(pod).get(names.POOL) == pool
-        and names.CLAIM not in kube_objects.notes(pod)
-        and ownership.controls(kube_objects.uid(workload), pod)
+        if names.CLAIM not in kube_objects.notes(pod) and ownership.controls(kube_objects.uid(workload), pod)
     ]
+    if any(_lost_its_pool(pod) and _pool_of(pod, observed, workload_plan) == pool for pod in unclaimed):
+        return  # its label is being restored, and then it counts
+    mine = [pod for pod in unclaimed if kube_objects.labels(pod).get(names.POOL) == pool]
     want, spared, renewal = wanted(observed, pool), 0, _Renewal()
     found = _spread(observed, workload_plan, pool, mine, want)
     if found.give_up is not None:
@@ -241,6 +242,11 @@ def relabelled(observed: Observed, workload_plan: WorkloadPlan) -> Iterator[Patc
         if released and names.POOL in kube_objects.labels(pod):
             owner = kube_objects.owner("RobotWorkload", workload)
             yield Patch(PODS, pod, {"metadata": {"ownerReferences": [owner]}})
+
+
+def _lost_its_pool(pod: Object) -> bool:
+    """Whether somebody has removed the label with the pool of a living standby."""
+    return names.POOL not in kube_objects.labels(pod) and not kube_objects.deleted(pod)
 
 
 def _pool_of(pod: Object, observed: Observed, workload_plan: WorkloadPlan) -> str | None:

@@ -34,6 +34,7 @@ from understudy.kube.client import (
     SERVICE_ACCOUNTS,
     SERVICES,
     WORKLOADS,
+    ApiError,
     Client,
     Object,
     Resource,
@@ -156,7 +157,24 @@ class ListCycle:
         covered = functools.partial(listed, resource)
         changes = self._store.replace(resource, itertools.chain(*found.values()), version, namespace, covered=covered)
         self._known[place] = {digest: self._stored(resource, items) for digest, items in found.items()}
+        for item in self._store.all(resource):
+            mine = namespace is None or item["metadata"].get("namespace", "") == namespace
+            if mine and kept(resource, item) and not covered(item):
+                changes += await self._ask(resource, item)
         return changes
+
+    async def _ask(self, resource: Resource, item: Object) -> list[ObservedChange]:
+        """Ask for an object that no list contains, because somebody has removed its labels: its watch may have missed its end."""
+        metadata = item["metadata"]
+        try:
+            found = await self._client.get(resource, metadata.get("namespace"), metadata["name"])
+        except ApiError as error:
+            if not error.not_found:
+                raise
+            change = self._store.remove(resource, item)
+        else:
+            change = self._store.put(resource, found)
+        return [change] if change is not None else []
 
     async def _yield_to_others(self, took: float) -> None:
         """Give way to other clients after a part that took ``took`` seconds."""
