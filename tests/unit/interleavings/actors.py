@@ -162,6 +162,11 @@ class Monitor:
         """The UIDs of the instances that it knows."""
         return frozenset(one.uid for one in self._observer.known_senders()) if self._observer else frozenset()
 
+    def knew(self, at: float) -> frozenset[str]:
+        """The UIDs of the instances that it knew at a time (Unix seconds)."""
+        known = self._observer.known_since if self._observer else {}
+        return frozenset(uid for uid, since in known.items() if since <= at)
+
     def _make_agents(self, client: Client, view: ClusterView, roles: InstanceRoles) -> AgentConnections:
         return AgentConnections(client, view, self.workload, self.fuse, roles, self.wakeups)
 

@@ -72,8 +72,9 @@ class Drivers:
         self._drives: dict[str, dict[str, list[Drive]]] = {}
         """By robot and UID."""
         self._recorded: set[str] = set()
-        self.knows: Callable[[str], Collection[str]] = lambda who: ()
-        """Returns the UIDs of the instances that a monitor knows. It reports others as unknown senders, and does no more about them."""
+        self.knew: Callable[[str, float], Collection[str]] = lambda who, at: ()
+        """Returns the UIDs of the instances that a monitor knew at a time. It reports others as unknown senders, and does no more about
+        them."""
         self.doubled = self.safe_commands = 0
         """Seconds for which robots had a second driver, and safe commands that robots received."""
 
@@ -100,7 +101,7 @@ class Drivers:
             return
         self._recorded.add(recovery["id"])
         verified = datetime.fromisoformat(recovery["moments"]["verified"]).timestamp()
-        known = self.knows(by)
+        known = self.knew(by, verified - BEFORE)
         for drive in (drive for uid, drives in self._drives.get(robot, {}).items() if uid in known for drive in drives):
             if drive.name == recovery["toPod"] or drive.period > PERIOD_MOST:
                 continue

@@ -110,9 +110,9 @@ class Invariants:
 
     def _restored(self, pod: Object | None) -> None:
         uid = pod["metadata"]["uid"] if pod is not None else ""
-        if pod is not None and self._tampered.get(uid, {}).items() <= _labels(pod).items():
-            if self._tampered.pop(uid, None) is not None:
-                self._restored_at[uid] = self._robots.now
+        if pod is not None and uid in self._tampered and self._tampered[uid].items() <= _labels(pod).items():
+            del self._tampered[uid]
+            self._restored_at[uid] = self._robots.now
 
     def _ended_by_monitor(self, pod: Object, by: str) -> None:
         """No understudy that never failed is deleted, except one that was claimed, since it cannot be given back, and one that is to leave

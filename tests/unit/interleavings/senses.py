@@ -66,6 +66,8 @@ class HealthObserver:
         self._active = ""
         self._expected_since = self._expected_by = -math.inf
         self._senders = KnownSenders()
+        self.known_since: dict[str, float] = {}
+        """By UID, since when (Unix seconds) it knows an instance."""
         self.graph = self
 
     def command_safely(self) -> None:
@@ -86,6 +88,8 @@ class HealthObserver:
     def drain(self, instances: Sequence[Instance], active: str, pinned: Sequence[PinnedPod] = ()) -> None:
         self._active = active
         self._senders.update(instances, pinned, lambda ip: self._last(self._at(ip)), self.now)
+        for one in self._senders.all():
+            self.known_since.setdefault(one.uid, self._robots.now)
         self._looked()
 
     def _last(self, found: Running | None) -> float | None:
@@ -168,7 +172,8 @@ class HealthObserver:
                 continue
             sender = known.get(running.ip)
             name, uid = (sender.name, sender.uid) if sender is not None else ("an unnamed node", "")
-            found.append(OutputSender(TOPIC, name, uid, (uid,) if uid else (), last, host_at(running.ip)))
+            may_be = (uid,) if uid else ()
+            found.append(OutputSender(TOPIC, name, uid, may_be, last, host_at(running.ip), running.period))
         return found
 
 

@@ -56,7 +56,7 @@ class SimulatedCluster:
         self.robots.restored = self.invariants.kept_states.given
         self.robots.commanded = self.invariants.commands.carried_out
         self.robots.commanded_safely = self.invariants.drivers.commanded_safely
-        self.invariants.drivers.knows = self._known_to
+        self.invariants.drivers.knew = self._known_to
         self.server.changed = self._written
         self.network.noted = self.robots.noted = self.note
         self.network.sending = self._sends
@@ -145,8 +145,8 @@ class SimulatedCluster:
             text = "gone" if new is None else "leaving" if "deletionTimestamp" in item["metadata"] else phase
             self.note(f"  pod {item['metadata']['name']} {text}, by {by}")
 
-    def _known_to(self, monitor: str) -> frozenset[str]:
-        return frozenset[str]().union(*(one.knows for one in self.monitors if str(one.process) == monitor))
+    def _known_to(self, monitor: str, at: float) -> frozenset[str]:
+        return frozenset[str]().union(*(one.knew(at) for one in self.monitors if str(one.process) == monitor))
 
     def _output_received(self, robot: str) -> None:
         self.invariants.routed(robot)

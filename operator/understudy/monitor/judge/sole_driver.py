@@ -39,6 +39,9 @@ LISTEN = 2.0
 CUT_OFF = 1.0
 """Seconds without an answer of the API server after which this monitor's network may be down, and then its silence says nothing."""
 
+PROBED = 1.0
+"""Seconds between two test packets of an agent."""
+
 PERIOD = 0.2
 """Seconds between two updates."""
 
@@ -64,6 +67,8 @@ class Sign:
     """What identifies its host in the GIDs of its samples, for a sender that cannot be attributed."""
     pod_uid: str = ""
     """The UID in its packets, for a sender that cannot be attributed."""
+    interval: float = math.inf
+    """Seconds that usually pass between two of them; infinite if that is not known."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +80,17 @@ class Track:
     gap: float = 0.0
     """The longest time between two of them."""
     least: float = math.inf
-    """The shortest time between two of them; infinite if there is only one."""
+    """The shortest time between two of them that is known; infinite if none is."""
+
+    @classmethod
+    def begin(cls, sign: Sign) -> Track:
+        """Return the track of a sender's first sign."""
+        return cls(sign, sign.last, least=sign.interval)
+
+    @property
+    def period(self) -> float:
+        """Seconds in which a sender is heard again that has not ended. One that sends so often and paused for long had ended."""
+        return min(self.gap, PAUSES * self.least)
 
     @property
     def lasts(self) -> bool:
@@ -84,11 +99,11 @@ class Track:
 
     def is_heard(self, now: float) -> bool:
         """Whether the sender still reaches the robot."""
-        return now - self.sign.last < max(QUIET, 2 * self.gap)
+        return now - self.sign.last < max(QUIET, 2 * self.period)
 
     def goes_on(self, now: float) -> bool:
         """Whether the sender was heard so recently that it has probably not ended."""
-        return now - self.sign.last < max(LASTS, 2 * self.gap)
+        return now - self.sign.last < max(LASTS, 2 * self.period)
 
     def was_over(self, again: float) -> bool:
         """Whether the sender had ended when it was heard again: it was silent for much longer than one that sends so often."""
@@ -97,7 +112,8 @@ class Track:
     def with_sign(self, sign: Sign) -> Track:
         """Return the track with one more sign, or with the same one again."""
         gap = sign.last - self.sign.last
-        return replace(self, sign=sign, gap=max(self.gap, gap), least=min(self.least, gap) if gap > 0 else self.least)
+        least = min(self.least, sign.interval, gap if gap > 0 else math.inf)
+        return replace(self, sign=sign, gap=max(self.gap, gap), least=least)
 
     def moved(self, step: float) -> Track:
         """Return this track after the clock was set by ``step`` seconds."""
@@ -127,7 +143,7 @@ def tracked(
             continue
         key = (sign.uid or sign.name, sign.via)
         known = found.get(key) or _as_stranger(found, sign)
-        found[key] = Track(sign, sign.last) if known is None or known.was_over(sign.last) else known.with_sign(sign)
+        found[key] = Track.begin(sign) if known is None or known.was_over(sign.last) else known.with_sign(sign)
     return found
 
 
@@ -278,7 +294,15 @@ class SoleDriver:
             )
 
         found = [
-            Sign(one.name, one.uid, one.topic, one.last, is_former(one.uid), b"" if one.uid else one.host)
+            Sign(
+                one.name,
+                one.uid,
+                one.topic,
+                one.last,
+                is_former(one.uid),
+                b"" if one.uid else one.host,
+                interval=one.interval,
+            )
             for one in self._outputs.output_senders()
             if self._through.isdisjoint(one.may_be)
         ]
@@ -288,9 +312,9 @@ class SoleDriver:
         }
         for uid, last in passed.items():
             if last is not None and uid in names:
-                found.append(Sign(names[uid], uid, PROBES, last, is_former(uid)))
+                found.append(Sign(names[uid], uid, PROBES, last, is_former(uid), interval=PROBED))
             elif last is not None:
-                found.append(Sign(f"the pod with UID {uid}", "", PROBES, last, pod_uid=uid))
+                found.append(Sign(f"the pod with UID {uid}", "", PROBES, last, pod_uid=uid, interval=PROBED))
         return found
 
     def may_be_driven(self, now: float) -> bool:

@@ -6,7 +6,9 @@ which the drained subscriptions of ``understudy.ros`` fill, and which tests fill
 
 from __future__ import annotations
 
+import itertools
 import math
+import statistics
 from bisect import insort
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -152,6 +154,9 @@ class ParameterState:
     """Whether its value can be determined."""
 
 
+INTERVALS = 15
+"""Times between samples that show how often a sender sends. A few of them may be different."""
+
 GAPS = 60.0
 """Minimum seconds for which the longest gap is kept: the interval at which metrics are scraped."""
 
@@ -185,6 +190,12 @@ class TopicRecord:
         silence = now - self.last
         known = (self._gap, self._gap_before) if now < self._until else (self._gap,) if now < self._until + GAPS else ()
         return max(0.0, silence, *known)
+
+    @property
+    def interval(self) -> float:
+        """Return the seconds that usually pass between two samples: the median of the last ones; infinite before the second."""
+        last = list(self.arrivals)[-INTERVALS - 1 :]
+        return statistics.median(after - before for before, after in itertools.pairwise(last)) if last[1:] else math.inf
 
     def add(self, received: float) -> None:
         """Note a sample that was received at this time. Late ones are inserted in order."""

@@ -71,6 +71,16 @@ def test_two_short_leaks_are_not_one_that_lasts() -> None:
     assert leaks(signs("w-1", *first, *lasting), NOW + 9.3)
 
 
+def test_two_short_leaks_are_not_one_that_lasts_although_each_was_seen_once() -> None:
+    brief = [_Sign("w-1", "uid-w-1", "/cmd_vel", NOW + moment, interval=0.05) for moment in (0.0, 40.0)]
+    found: Tracks = {}
+    for sign in brief:
+        found = tracked(found, [sign], {}, let_through=(), now=sign.last)
+    assert not leaks(found, NOW + 40.1)
+    (track,) = found.values()
+    assert not track.is_heard(NOW + 40 + QUIET), "it sends more often than that"
+
+
 class Watched:
     """A workload that w-2 drives after w-1."""
 

@@ -234,7 +234,7 @@ class HealthObserver:
                 name = senders[0].name if senders else self._nodes_at(host, topic)
                 uid = senders[0].uid if senders else ""
                 may_be = tuple(one.uid for one in senders or unrecognized)
-                found.append(OutputSender(topic, name, uid, may_be, record.last, host))
+                found.append(OutputSender(topic, name, uid, may_be, record.last, host, record.interval))
         return found
 
     def _nodes_at(self, host: bytes, topic: str) -> str:

@@ -6,6 +6,7 @@ after a restart of the monitor; any other one for a minute.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -63,6 +64,8 @@ class OutputSender:
     """When its last sample arrived, in Unix seconds."""
     host: bytes = b""
     """What identifies its host in GIDs."""
+    interval: float = math.inf
+    """Seconds that usually pass between two of its samples; infinite if that is not known."""
 
 
 class KnownSenders:
