@@ -273,7 +273,7 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
             continue
         found.double_drives.append(end - begin)
         violation("double drive", end, f"{' and '.join(pods)} drove together for {end - begin:.3f} s", begin)
-    for group in _runs(uncontrolled(seen.commands, seen.commits)):
+    for group in _runs(uncontrolled(seen.commands, seen.commits, period)):
         first, after = group[0]
         last_of_group = group[-1][0].received
         if undone(first.received, last_of_group) or is_late_network(first.received, last_of_group, first.source):
@@ -419,9 +419,11 @@ def _may_both_drive(pods: set[str], commits: Sequence[Commit], at: float) -> boo
     )
 
 
-def uncontrolled(commands: Sequence[Command], commits: Sequence[Commit]) -> Iterator[tuple[Command, float]]:
+def uncontrolled(
+    commands: Sequence[Command], commits: Sequence[Commit], period: float = 0.05
+) -> Iterator[tuple[Command, float]]:
     """Yield commands of instances that no commit let through at that time, with the seconds since they were fenced; infinity if they
-    were not in control before."""
+    were not in control before. A command from before the fence may be under way for a period."""
     for command in commands:
         known = [commit for commit in commits if commit.earliest <= command.received]
         ends = [*(later.seen + ENFORCEMENT for later in known[1:]), math.inf]
@@ -433,7 +435,10 @@ def uncontrolled(commands: Sequence[Command], commits: Sequence[Commit]) -> Iter
             for commit, later in pairwise(known)
             if command.source in commit.let_through and command.source not in later.let_through
         ]
-        yield command, command.received - fenced[-1] if fenced else math.inf
+        late = command.received - fenced[-1] if fenced else math.inf
+        if fenced and command.sent < fenced[-1] and late <= period + DELIVERY:
+            continue
+        yield command, late
 
 
 def _runs(found: Iterable[tuple[Command, float]]) -> Iterator[list[tuple[Command, float]]]:

@@ -84,6 +84,8 @@ class HealthObserver:
     def discovered(self, instance: Instance) -> bool:
         return True
 
+    hears_nobody = False
+
     def others_discovered(self, instance: Instance) -> bool:
         return True
 

@@ -126,7 +126,7 @@ class Monitor:
         """Note whether something keeps it from noticing what its robot hears, or from acting."""
         now, network, process = self._robots.now, self._network, self.process
         paused = "pause" in network.server.items["robotworkloads"][(NAMESPACE, self.workload)]["spec"]
-        if process.stalled or self.notices is None:
+        if process.stalled or self._view is None or self.notices is None or self._view.policy is None:
             self.hindered_at = self.cut_off_at = now
         elif paused or process in network.cut_off or process in network.denied or network.weather.slow:
             self.cut_off_at = now

@@ -186,6 +186,7 @@ class Invariants:
         pod = self._server.get("pods", found.place)
         is_well = (
             found.through
+            and not self._is_tampered(found.uid)  # a new monitor knows no pod that has lost its labels
             and pod is not None
             and not leaving(pod)
             and well_since > recovery.moments.get("detected", 0.0)
@@ -255,6 +256,11 @@ class Invariants:
     def routed(self, robot: str) -> None:
         """No two pods reach a robot at once, but for what is left of one whose object is gone, and for nodes that enforce old gates."""
         self.drivers.routed(robot)
+        gates = self._server.items["networkpolicies"].items()
+        named = {GateRecord.of(gate).active_uid for (_, name), gate in gates if name == names.gate(robot)}
+        for one in self._heard(robot):
+            # As a StatefulSet's successor of the pod that the record names, since the gate selects by name. It may be ended as a leak.
+            one.harmed |= one.uid not in named
         found = [r for r in self._heard(robot) if r.exists]
         excused = any(self._robots.nodes.is_late(r.node) or self._is_tampered(r.uid) for r in found)
         if len(found) > 1 and not excused:

@@ -128,6 +128,8 @@ class HealthObserver:
         found = self._at(instance.ip)
         return found is not None and found.up
 
+    hears_nobody = False
+
     def others_discovered(self, instance: Instance) -> bool:
         """Always: the robot's reader."""
         return True

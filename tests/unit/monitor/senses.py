@@ -145,6 +145,9 @@ class GivenObserver(HealthObserver):
         self.searched.append(instance.uid)
         return instance.uid not in self.undiscovered if host_at(instance.ip) else None
 
+    hears_nobody = False
+    """Whether it has received nothing from anybody."""
+
     def others_discovered(self, instance: Instance) -> bool:
         return not self.is_alone
 

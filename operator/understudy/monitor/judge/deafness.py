@@ -120,7 +120,8 @@ class DeafnessWatch:
             return None
         text = (
             f"The agent of {active.name} reports healthy outputs, but DDS discovery has reported none of them to this monitor for "
-            f"{LOOKS * PERIOD:.0f} s. The monitor ends, so that its container starts again and joins the ROS graph as a new participant."
+            f"{LOOKS * PERIOD:.0f} s, or the monitor has received nothing from anybody. The monitor ends, so that its container starts again "
+            "and joins the ROS graph as a new participant."
         )
         self._notices.event("Warning", "MonitorDeaf", text)
         return Deaf(text)
@@ -134,4 +135,4 @@ class DeafnessWatch:
             return None
         if not self._agents.is_ready(active)[0]:
             return None
-        return self._observer.discovered(active)
+        return self._observer.discovered(active) and not self._observer.hears_nobody

@@ -135,8 +135,10 @@ class FailureDetector:
         ):
             self._doubt()
             verdict = self._observer.verdict(now=now, since=since)
-        if verdict.state == "Failed" and self._has_discovered_nobody(active):
-            words = f"DDS discovery has reported nobody to this monitor, and the agent of {active.name} reports it as healthy"
+        if verdict.state == "Failed" and self._hears_nobody(active):
+            words = (
+                f"this monitor has received nothing from anybody, and the agent of {active.name} reports it as healthy"
+            )
             return Verdict("Starting", words, verdict.leaf, None)
         if verdict.state == "Starting":
             self._look_for(active, now, since)
@@ -186,17 +188,17 @@ class FailureDetector:
         status = self._agents.status(active)
         return status is not None and status.ready
 
-    def _has_discovered_nobody(self, active: Instance) -> bool:
-        """Return whether this monitor never heard a healthy instance because discovery reports nobody to it, not even the robot.
+    def _hears_nobody(self, active: Instance) -> bool:
+        """Return whether this monitor never heard a healthy instance because discovery does not work for it: it has found nobody, not even
+        the robot, or nobody has found this monitor.
 
-        The discovery server cannot be reached. This monitor would hear no other instance either, and so verify none.
+        The discovery server cannot be reached, or was replaced twice within seconds. This monitor would hear no other instance either, and
+        so verify none.
         """
-        return (
-            self._observer.last_from(active.name) is None
-            and self._is_ready(active)
-            and self._observer.discovered(active) is False
-            and not self._observer.others_discovered(active)
-        )
+        if self._observer.last_from(active.name) is not None or not self._is_ready(active):
+            return False
+        found = self._observer.discovered(active) is not False or self._observer.others_discovered(active)
+        return not found or self._observer.hears_nobody
 
     def _doubt(self) -> None:
         """Look for the instance again, within the startup grace: its agent receives what this new monitor never did.

@@ -85,6 +85,13 @@ def test_a_fenced_instance_may_drive_alone_while_the_api_server_fails_so_that_no
     assert [what for what in whats(found) if what == "fenced instance"] == expected
 
 
+@pytest.mark.parametrize(("age", "expected"), [(0.075, []), (0.01, ["fenced instance"])])
+def test_a_command_may_be_under_way_while_its_instance_is_fenced(age: float, expected: list[str]) -> None:
+    late = drive("a", 10.67, 10.67, age=age)
+    found = judged(log(drive("a", 1, 10), late, drive("b", 10.7, 20)), KILLED, recoveries=[recovery(10.5, 10.6)])
+    assert [what for what in whats(found) if what == "fenced instance"] == expected
+
+
 def test_the_gate_may_be_closed_for_a_while_if_the_network_of_a_node_that_returned_lets_a_fenced_instance_through() -> (
     None
 ):

@@ -68,6 +68,15 @@ def test_a_monitor_that_has_discovered_the_instance_does_not_search_again(watchi
     assert len(watching.observer.searched) == searched
 
 
+def test_a_monitor_that_receives_nothing_from_anybody_is_deaf_although_it_has_discovered_the_instance(
+    watching: Watching,
+) -> None:
+    watching.observer.undiscovered.clear()
+    watching.observer.hears_nobody = True
+    assert watching.looks(LOOKS - 1) == []
+    assert len(watching.looks(1)) == 1
+
+
 def test_the_looks_at_an_instance_begin_again_when_its_agent_is_gone_for_a_moment(watching: Watching) -> None:
     watching.looks(LOOKS - 1)
     watching.senses.agents.unready = {"uid-1": "its agent is not connected: connection refused"}

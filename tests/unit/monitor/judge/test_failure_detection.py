@@ -247,12 +247,23 @@ def test_a_monitor_that_has_discovered_nobody_does_not_fail_an_instance_that_its
     observing.is_alone = True
     start = judging.since
     found = judging.verdict(ACTIVE, start + 120)
-    assert (found.state, "discovery has reported nobody" in found.reason) == ("Starting", True)
+    assert (found.state, "received nothing from anybody" in found.reason) == ("Starting", True)
     observing.is_alone = False
     assert judging.verdict(ACTIVE, start + 120.2).state == "Failed", "it hears the robot and not the instance"
     observing.is_alone = True
     statuses.clear()
     assert judging.verdict(ACTIVE, start + 120.4).state == "Failed"
+
+
+def test_a_monitor_that_has_received_nothing_does_not_fail_an_instance_that_its_agent_reports_as_healthy() -> None:
+    """Discovery has reported the others to this monitor, and not this monitor to the others."""
+    statuses = {"uid-1": AgentStatus("Running", ready_at=time.time() - 900, ready=True)}
+    judging, observing = judging_silence({"gap": "500ms"}, driven_epoch=None, statuses=statuses)
+    observing.hears_nobody = True
+    start = judging.since
+    assert judging.verdict(ACTIVE, start + 120).state == "Starting"
+    observing.hears_nobody = False
+    assert judging.verdict(ACTIVE, start + 120.2).state == "Failed", "it hears the robot and not the instance"
 
 
 def test_an_instance_whose_agent_reported_it_as_healthy_and_does_not_answer_any_more_is_judged_early() -> None:

@@ -290,6 +290,15 @@ class HealthObserver:
         readers = (end for topic in self.output_topics for end in self.graph.subscribers(topic))
         return any(MIDDLEWARE.host_of(end.gid) not in known for end in itertools.chain(ends, readers))
 
+    @property
+    def hears_nobody(self) -> bool:
+        """Whether this monitor has not received a single message, although it watches topics that the robot publishes."""
+        outputs = set(self.output_topics)
+        watched = (
+            {topic.name for topic in self._tree.judged if topic.subscribed} if self._tree is not None else set[str]()
+        )
+        return not watched <= outputs and not any(self._watching.records(topic) for topic in watched | outputs)
+
     def degraded_verdict(self, *, now: float, since: float) -> Verdict:
         """Return the verdict of the tree of ``spec.degraded`` on the active instance. Times are Unix seconds."""
         return self._degraded_trees.verdict(self._watching, now=now, since=since)
