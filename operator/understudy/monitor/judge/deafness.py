@@ -120,8 +120,8 @@ class DeafnessWatch:
             return None
         text = (
             f"The agent of {active.name} reports healthy outputs, but DDS discovery has reported none of them to this monitor for "
-            f"{LOOKS * PERIOD:.0f} s, or the monitor has received nothing from anybody. The monitor ends, so that its container starts again "
-            "and joins the ROS graph as a new participant."
+            f"{LOOKS * PERIOD:.0f} s, or the monitor has received nothing from anybody. The monitor ends, so that its container starts "
+            "again and joins the ROS graph as a new participant."
         )
         self._notices.event("Warning", "MonitorDeaf", text)
         return Deaf(text)
