@@ -166,6 +166,17 @@ def test_a_reader_on_a_further_host_is_somebody_else_than_the_instance_and_this_
     assert not observer.others_discovered(Instance("w-1", "uid-1", ip=own_address(observer)))
 
 
+def test_a_monitor_hears_nobody_until_a_message_of_anybody_arrives(observer: HealthObserver) -> None:
+    outputs = parsed_spec(outputs=[{"topic": "/beat", "type": "std_msgs/msg/String"}])
+    beat = {"topic": {"name": "/beat", "gap": "1s"}}
+    observer.follow(_policy(beat), outputs)
+    assert not observer.hears_nobody, "the silence of the instance alone says nothing about this monitor"
+    observer.follow(_policy({"parallel": [beat, {"topic": {"name": "/said", "gap": "1s"}}]}), outputs)
+    assert observer.hears_nobody
+    said = publisher(observer, "/said", String)
+    until(observer, lambda: not observer.hears_nobody, each=lambda: said.publish(String()))
+
+
 def test_whether_an_instance_is_discovered_is_unknown_without_an_ipv4_address_or_outputs(
     observer: HealthObserver,
 ) -> None:
