@@ -514,6 +514,9 @@ def gaps(
         tried = [one["strategy"] for recovery in found for one in recovery.attempts if one["result"] != "NotAvailable"]
         if not found or {"Restart", "Fallback/Uninitialized"} & set(tried):
             nobodys += [*seen.unstarted, *((first, last + LISTENS) for first, last in seen.astray)]
+        given_up = not found and any(not c.let_through and a.received <= c.seen <= b.received for c in seen.commits)
+        if given_up or {"Restart", "Fallback/Uninitialized"} & set(tried):
+            nobodys += seen.unled  # new pods of pools come from the operator
         explained = covered([*waits, *leaked, *nobodys], a.received, b.received)
         allowed = seen.timeout + SWITCH + sum(_allowed(recovery) for recovery in found)
         strategy = max(found, key=_allowed).strategy if found else ""

@@ -32,6 +32,7 @@ from understudy.monitor.judge.failure_detection import Failure
 from understudy.monitor.judge.stage import Judgement, JudgeStage
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.agent_connections import AgentConnections
+from understudy.monitor.observe.last_driver import last_driver
 from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.objects.dependencies import Dependencies, describe
 from understudy.monitor.outcome import Outcome
@@ -77,6 +78,7 @@ class DecideStage:
     ) -> None:
         """``context`` lacks the settings and policy of the workload, which are added at each use."""
         self._view, self._gate, self._notices = view, context.gate, notices
+        self._pods = context.instances
         self._levels, self._dependencies = judge.levels, dependencies
         self.takeover, self.sole_driver = judge.takeover, judge.sole_driver
         self.unseen_restart = judge.unseen_restart
@@ -170,7 +172,8 @@ class DecideStage:
         Somebody may have deleted the gate, and its list of drivers with it, or this monitor may be new.
         """
         state = self._gate.state
-        driver = self._driver or next((pod.uid for pod in state.pinned), "")
+        known = last_driver(state, self._notices.status, self._pods.of_workload())
+        driver = self._driver or (known.uid if known is not None else "")
         return "" if state.recovery is not None and state.recovery.has_failed(driver) else driver
 
     def _cases(self, policy: FailurePolicySpec, judgement: Judgement, prepared: Preparation | None) -> Iterator[_Case]:

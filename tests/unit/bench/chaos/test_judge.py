@@ -307,6 +307,16 @@ def test_a_gap_is_not_longer_by_the_time_until_a_kubelet_begins_to_start_a_pod()
     assert (whats(begun), begun.unstarted) == ([], [48.0])
 
 
+@pytest.mark.parametrize(("closed", "expected"), [(True, []), (False, ["gap"])])
+def test_a_recovery_that_is_given_up_may_have_waited_for_an_operator_that_creates_a_pod(
+    closed: bool, expected: list[str]
+) -> None:
+    commands, commits = log(drive("a", 1, 10), drive("b", 50, 59)), [Commit(0.0, 1, ("a",)), Commit(49.9, 3, ("b",))]
+    commits[1:1] = [Commit(10.1, 2, ())] if closed else []
+    deleted = fault("delete", 10.0)
+    assert whats(judged(commands, deleted, commits=commits, unled=[(9.0, 49.0)])) == expected
+
+
 def test_a_fault_that_could_not_be_made_explains_nothing() -> None:
     commands = log(drive("a", 1, 10.55), drive("b", 10.62, 20))
     refused = Injected(KILLED.fault, 10.02, 10.02, refused="no pod")

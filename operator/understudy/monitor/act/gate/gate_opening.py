@@ -19,6 +19,7 @@ from understudy.monitor.act.instances.state_manager import StateManager
 from understudy.monitor.act.objects.gate_control import GateControl
 from understudy.monitor.decide.strategy_options import StrategyOptions
 from understudy.monitor.notices import Notices
+from understudy.monitor.observe.last_driver import last_driver
 
 _logger = logging.getLogger(__name__)
 
@@ -104,9 +105,10 @@ class GateOpening:
         return self._dropped if self._dropped is not None and self._dropped.open_at == self._gate.state.epoch else None
 
     def _last_driver(self) -> PodIdentity | None:
-        pinned, dropped = self._gate.state.pinned, self._dropped_here()
-        if pinned:
-            return PodIdentity(name=pinned[0].name, uid=pinned[0].uid)
+        known = last_driver(self._gate.state, self._notices.status, self._fleet.of_workload())
+        dropped = self._dropped_here() if known is None else None
+        if known is not None:
+            return known
         return dropped.failed[0] if dropped is not None and dropped.failed else None
 
     def _is_to_be_given_state(self, first: Instance) -> bool:
