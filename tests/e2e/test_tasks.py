@@ -307,8 +307,13 @@ def test_the_action_proxy_of_a_replaced_monitor_ends(kubectl: Kubectl) -> None:
     kubectl.apply(
         [template | {"apiVersion": "v1", "kind": "Pod", "metadata": template["metadata"] | {"name": "second"}}]
     )
+
+    def has_ended() -> bool:
+        said = kubectl("logs", first, "-c", "tasks")  # of the next container, if that runs already
+        return "has replaced this one" in said or "this one waits until it is gone" in said
+
     eventually(
-        lambda: "has replaced this one" in kubectl("logs", first, "-c", "tasks", "--previous=false"),
+        has_ended,
         within=60,
         what="the first proxy ends",
         note=lambda: "\n".join(kubectl("logs", pod, "-c", "tasks") for pod in (first, "second")),
