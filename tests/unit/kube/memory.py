@@ -8,6 +8,8 @@ import json
 from collections.abc import AsyncIterator, Callable, Mapping
 from typing import Any
 
+import pytest
+
 from tests.support.answers import json_patched
 from understudy.kube.api_contact import ApiContact
 from understudy.kube.client import CONFIG_MAPS, ApiError, Client, Object, Resource
@@ -43,6 +45,17 @@ class MemoryClient(Client):
                 raise error
         if error is not None:
             raise error
+
+    def hang_once(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Have the next patch sent on a dead connection: it gets no answer, and is not carried out."""
+        write = self.patch
+
+        async def hang(*_: object, **__: object) -> Object:
+            monkeypatch.setattr(self, "patch", write)
+            await asyncio.Event().wait()
+            raise AssertionError
+
+        monkeypatch.setattr(self, "patch", hang)
 
     def store(self, resource: Resource, namespace: str, item: Object) -> Object:
         """Have an object as others wrote it, at the next version. Returns it as a watch reports it."""

@@ -151,14 +151,8 @@ async def test_a_claimed_pod_that_is_being_deleted_is_not_used() -> None:
 async def test_a_claim_on_a_dead_connection_is_sent_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(claims, "TRY_WITHIN", 0.05)
     client = MemoryClient()
-    pod, write = await free_pod(client), client.patch
-
-    async def hang(*_: object, **__: object) -> Object:
-        monkeypatch.setattr(client, "patch", write)
-        await asyncio.Event().wait()
-        raise AssertionError
-
-    monkeypatch.setattr(client, "patch", hang)
+    pod = await free_pod(client)
+    client.hang_once(monkeypatch)
     async with asyncio.timeout(5):
         assert (await claimed(client, pod))["metadata"]["labels"][names.WORKLOAD] == "w"
 

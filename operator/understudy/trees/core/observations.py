@@ -194,8 +194,9 @@ class TopicRecord:
     @property
     def interval(self) -> float:
         """Return the seconds that usually pass between two samples: the median of the last ones; infinite before the second."""
-        last = list(self.arrivals)[-INTERVALS - 1 :]
-        return statistics.median(after - before for before, after in itertools.pairwise(last)) if last[1:] else math.inf
+        newest_first = itertools.islice(reversed(self.arrivals), INTERVALS + 1)
+        between = [after - before for after, before in itertools.pairwise(newest_first)]
+        return statistics.median(between) if between else math.inf
 
     def add(self, received: float) -> None:
         """Note a sample that was received at this time. Late ones are inserted in order."""

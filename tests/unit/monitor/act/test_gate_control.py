@@ -257,14 +257,8 @@ async def test_a_commit_on_a_dead_connection_is_sent_again(
     client: MemoryClient, found: ClusterView, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(gate_control, "TRY_WITHIN", 0.1)
-    gate, write = await open_gate(client, found, tmp_path, FAILED), client.patch
-
-    async def hang(*_: object, **__: object) -> Object:
-        monkeypatch.setattr(client, "patch", write)
-        await asyncio.Event().wait()
-        raise AssertionError
-
-    monkeypatch.setattr(client, "patch", hang)
+    gate = await open_gate(client, found, tmp_path, FAILED)
+    client.hang_once(monkeypatch)
     async with asyncio.timeout(5):
         await gate.commit(STANDBY, recovery())
     assert (gate.state.active, gate.state.epoch) == (STANDBY.name, 5)

@@ -106,9 +106,9 @@ class GateOpening:
 
     def _last_driver(self) -> PodIdentity | None:
         known = last_driver(self._gate.state, self._notices.status, self._fleet.of_workload())
-        dropped = self._dropped_here() if known is None else None
         if known is not None:
             return known
+        dropped = self._dropped_here()
         return dropped.failed[0] if dropped is not None and dropped.failed else None
 
     def _is_to_be_given_state(self, first: Instance) -> bool:
