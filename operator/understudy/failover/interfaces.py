@@ -151,6 +151,12 @@ class Instances(Protocol):
     def find(self, uid: str) -> Instance | None:
         """Return the instance of this workload with a UID."""
 
+    async def regain(self, name: str, uid: str) -> None:
+        """Give a pod that is not listed its labels back, if it runs and belongs to this workload.
+
+        Waits while the API server does not answer.
+        """
+
     async def refresh_unclaimed(self, pool: str, *, part: bool = False) -> None:
         """Request which pods of a shared pool are unclaimed. Waits while the API server does not answer.
 

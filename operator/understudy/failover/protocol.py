@@ -24,7 +24,7 @@ from understudy.failover.interfaces import (
 )
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.strategies.base import Choice, StrategyContext
-from understudy.failover.strategies.steps import Outage, answered_time
+from understudy.failover.strategies.steps import Outage, answered_time, is_committed
 
 _logger = logging.getLogger(__name__)
 
@@ -79,6 +79,8 @@ async def recover(progress: Progress, choices: Sequence[Choice], context: Strate
     state = context.gate.state
     if progress.failed and progress.failed[0].uid == state.active_uid:  # of one that an earlier monitor began, too
         progress.open_at = state.epoch
+    if is_committed(progress, context) and context.instances.find(state.active_uid) is None:
+        await context.instances.regain(state.active, state.active_uid)
     slow = SlowInstance(progress, context)
     try:
         await _try_in_order(progress, choices, context, slow)
@@ -339,7 +341,12 @@ async def _loss(progress: Progress, context: StrategyContext, *, crashing_counts
             missing = None
             continue
         missing = missing if missing is not None else context.clock()
-        if context.clock() - missing >= LOST:
+        if context.clock() - missing < LOST:
+            continue
+        if found is None:  # a pod without its label is not listed, and may drive
+            await context.instances.regain(name, uid)
+            found = context.instances.find(uid)
+        if found is None or not found.running:
             return f"pod {name} {'is gone' if found is None else 'has stopped running'}"
 
 

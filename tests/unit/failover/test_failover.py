@@ -13,12 +13,13 @@ import pytest
 
 from tests.support.golden import assert_golden
 from tests.unit.failover.recoveries import VERIFY_WITHIN, choices, failure, protected
-from tests.unit.failover.world import Killed, Store, World
+from tests.unit.failover.world import PERIOD, Killed, Store, World
 from understudy.failover.interfaces import GateState, Instance, NoLongerNeeded, Superseded
 from understudy.failover.progress import PodIdentity, Progress
-from understudy.failover.protocol import recover
+from understudy.failover.protocol import LOST, recover
 from understudy.failover.strategies.base import Choice
 from understudy.failover.strategies.executing import ExecutingFallback
+from understudy.failover.strategies.initialized import InitializedFallback
 from understudy.failover.strategies.restart import Restart
 from understudy.failover.strategies.uninitialized import UninitializedFallback
 
@@ -243,6 +244,44 @@ async def test_a_recovery_interrupted_at_any_step_is_finished_by_the_next_monito
         assert "w-1" not in store.pods, f"killed at step {step}: the failed pod was left running"
         assert len(store.claims) <= 1, f"killed at step {step}: claimed more than one pod"
         assert store.commits.count(done.target.name) == 1, f"killed at step {step}: routed more than once"
+
+
+@pytest.mark.parametrize("strategy", [ExecutingFallback("hot"), InitializedFallback("hot")])
+async def test_an_instance_that_lost_its_label_after_the_last_monitor_let_it_through_is_not_fenced(
+    strategy: ExecutingFallback,
+) -> None:
+    store = protected(pool="hot")
+    strategies = choices(strategy, Restart())
+    first = World(store)
+    killed = asyncio.create_task(recover(failure(first), strategies, first.context()))
+    while store.gate.active != "w-2":
+        await asyncio.sleep(0)
+    killed.cancel()
+    assert store.gate.recovery is not None
+    store.unlabelled.add("w-2")
+    done = await recover(store.gate.recovery.model_copy(deep=True), strategies, World(store).context())
+    assert (done.result, done.strategy) == ("Recovered", strategy.name)
+    assert store.commits.count("w-2") == 1, "it drove already"
+    assert store.deleted == ["w-1"]
+
+
+async def test_an_instance_that_loses_its_label_while_it_is_verified_is_not_lost() -> None:
+    store = protected(pool="spare", held=True)
+    store.broken.add("w-2")  # until it has been without its label for a while
+    world = World(store)
+
+    async def edit() -> None:
+        while store.gate.active != "w-2":
+            await asyncio.sleep(PERIOD)
+        store.unlabelled.add("w-2")
+        await asyncio.sleep(LOST + 1.0)
+        store.broken.discard("w-2")
+
+    editing = asyncio.create_task(edit())
+    slow = [Choice(UninitializedFallback("spare"), 60.0), Choice(Restart(), VERIFY_WITHIN)]
+    done = await recover(failure(world), slow, world.context())
+    await editing
+    assert (done.result, done.strategy) == ("Recovered", "Fallback/Uninitialized")
 
 
 async def test_a_held_strategy_is_skipped_and_claims_nothing() -> None:

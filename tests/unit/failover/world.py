@@ -96,6 +96,8 @@ class Store:
     """State by the name of the pod that was given it."""
     workload: str = "w"
     priority: int = 0
+    unlabelled: set[str] = field(default_factory=set)
+    """Pods (by name) whose label somebody removed, so no monitor lists them."""
     fleet: list[Store] = field(default_factory=list)
     """Stores of other workloads of the namespace, this one perhaps among them; its unclaimed pods are also theirs."""
     looks: list[str] = field(default_factory=list)
@@ -228,10 +230,16 @@ class _Gate(_Part):
 
 class _Instances(_Part):
     def of_workload(self) -> Sequence[Instance]:
-        return [p for p in self.store.pods.values() if not p.held]
+        return [p for p in self.store.pods.values() if not p.held and p.name not in self.store.unlabelled]
 
     def find(self, uid: str) -> Instance | None:
         return next((p for p in self.of_workload() if p.uid == uid), None)
+
+    async def regain(self, name: str, uid: str) -> None:
+        await asyncio.sleep(0.001)
+        while self.store.away:
+            await asyncio.sleep(PERIOD)
+        self.store.unlabelled.discard(name)
 
     async def refresh_unclaimed(self, pool: str, *, part: bool = False) -> None:
         self.store.looks.append("part" if part else "all")

@@ -43,18 +43,20 @@ OUTAGE_REPORTED = 0.5
 
 def committed_target(progress: Progress, context: StrategyContext) -> Instance | None:
     """Return the instance for which an interrupted run of this recovery already opened the gate."""
-    state = context.gate.state
-    if (
-        state.recovery is None
-        or state.recovery.id != progress.id
-        or state.closed
-        or progress.has_failed(state.active_uid)
-    ):
+    if not is_committed(progress, context):
         return None
-    target = next((i for i in context.instances.of_workload() if i.uid == state.active_uid and i.usable), None)
+    uid = context.gate.state.active_uid
+    target = next((i for i in context.instances.of_workload() if i.uid == uid and i.usable), None)
     if target is not None:
         progress.target = PodIdentity(name=target.name, uid=target.uid)
     return target
+
+
+def is_committed(progress: Progress, context: StrategyContext) -> bool:
+    """Whether an interrupted run of this recovery already opened the gate for an instance."""
+    state = context.gate.state
+    is_own = state.recovery is not None and state.recovery.id == progress.id
+    return is_own and not state.closed and not progress.has_failed(state.active_uid)
 
 
 def on_other_nodes_first(

@@ -56,7 +56,7 @@ class ActStage:
         self.leaks = LeakResponse(cluster.pods, self.strays, cluster.gate, decide.sole_driver, notices)
         self.deferral = DeferredRecovery(cluster, limits, current, journal, notices)
         self.recoveries = RecoveryRunner(cluster.view, options, state_manager, current, self.abandonment, notices)
-        self.labels = PodLabels(cluster, notices)
+        self.labels = PodLabels(cluster)
         self._standbys = StandbySupervision(cluster, senses, state_manager, decide.unseen_restart, notices)
 
     def judged(self, judgement: Judgement) -> None:

@@ -17,6 +17,7 @@ from tests.unit.monitor.cluster_objects import NAMESPACE, ClusterObjects
 from tests.unit.monitor.limited_monitor import ACTIVE, World
 from understudy.api import names
 from understudy.failover.interfaces import GateState, Instance
+from understudy.kube import repeated_requests
 from understudy.kube.client import PODS, ApiError, Object
 from understudy.monitor.act.instances import pod_labels
 from understudy.monitor.act.instances.pod_labels import PodLabels
@@ -35,7 +36,7 @@ class Labelled:
         self.objects.put_settings(pools=[{"name": "hot", "readiness": "Executing"}])
         self.objects.put_pods(known)
         self.objects.put_gate(GateState(epoch=3, active="w-1"))
-        self.labels = PodLabels(self.objects.cluster, self.objects.notices)
+        self.labels = PodLabels(self.objects.cluster)
 
     async def look(self) -> None:
         """Look once, and do what follows in the background."""
@@ -115,7 +116,8 @@ async def test_a_pod_that_is_gone_after_its_deletion_is_not_asked_for() -> None:
 
 @pytest.mark.parametrize("error", [OSError("reset"), ApiError(503, "Busy", "later"), ApiError(429, "Busy", "later")])
 async def test_it_is_asked_for_until_the_api_server_answers(error: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pod_labels, "AGAIN", 0.0)
+    monkeypatch.setattr(repeated_requests, "RETRY_MOST", 0.0)
+    monkeypatch.setattr(repeated_requests, "RETRY_FIRST", 0.0)
     found = Labelled()
     await found.look()
     vanish(found.objects, stray(WORKLOAD))
@@ -125,16 +127,6 @@ async def test_it_is_asked_for_until_the_api_server_answers(error: Exception, mo
     found.objects.client.failing = lambda method, name: None
     await found.look()
     assert [i.uid for i in found.objects.pods.of_workload()] == ["uid-3"]
-
-
-async def test_requests_without_success_are_a_second_apart() -> None:
-    found = Labelled()
-    await found.look()
-    vanish(found.objects, stray(WORKLOAD))
-    found.objects.client.failing = lambda method, name: OSError("reset")
-    for _ in range(5):
-        await found.look()
-    assert found.requests == ["GET"]
 
 
 async def test_a_refusal_is_final(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,19 +8,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import logging
 import math
 import time
 from collections.abc import Sequence
 
-from understudy.api import names
 from understudy.failover.interfaces import Instance
-from understudy.kube.client import FAILURES, PODS, ApiError, Object
-from understudy.monitor.act.instances.stray_pods import is_stray
+from understudy.kube.client import FAILURES
 from understudy.monitor.act.objects.cluster import Cluster
-from understudy.monitor.notices import Notices
-
-_logger = logging.getLogger(__name__)
 
 AGAIN = 1.0
 """Seconds after which requests without success are repeated, although no pod has changed."""
@@ -32,8 +26,8 @@ ANSWER_WITHIN = 2.0
 class PodLabels:
     """Labels pods in the background: a slow API server must not delay a detection."""
 
-    def __init__(self, cluster: Cluster, notices: Notices) -> None:
-        self._cluster, self._notices = cluster, notices
+    def __init__(self, cluster: Cluster) -> None:
+        self._cluster = cluster
         self._revision: tuple[int, int] | None = None
         self._next = -math.inf
         self._known: dict[str, Instance] = {}
@@ -65,35 +59,9 @@ class PodLabels:
 
     async def _label(self, vanished: Sequence[Instance], instances: Sequence[Instance]) -> None:
         for instance in vanished:
-            try:
-                async with asyncio.timeout(ANSWER_WITHIN):
-                    await self._restore(instance)
-            except FAILURES as error:
-                if not isinstance(error, ApiError) or not error.final:
-                    continue
-                if not error.not_found:
-                    _logger.warning("could not restore the label %s of %s: %s", names.WORKLOAD, instance.name, error)
+            await self._cluster.pods.regain(instance.name, instance.uid)
             del self._known[instance.uid]
         for instance in instances:
             with contextlib.suppress(*FAILURES):
                 async with asyncio.timeout(ANSWER_WITHIN):
                     await self._cluster.pods.label(instance)
-
-    async def _restore(self, instance: Instance) -> None:
-        """Give a pod its labels back if it exists and runs, belongs to this workload, and lacks its label. Raises one of FAILURES."""
-        view, settings = self._cluster.view, self._cluster.view.settings
-        pod = await view.client.get(PODS, view.namespace, instance.name)
-        if settings is None or pod["metadata"]["uid"] != instance.uid or _ends(pod) or not is_stray(pod, settings):
-            return
-        await self._cluster.pods.put_labels(pod)
-        words = (
-            f"pod {instance.name} had lost the label {names.WORKLOAD}, which the gate needs: somebody had changed it"
-        )
-        _logger.warning("restored the labels: %s", words)
-        self._notices.event("Warning", "LabelsRestored", words)
-
-
-def _ends(pod: Object) -> bool:
-    """Whether a pod has ended or is being deleted."""
-    ended = (pod.get("status") or {}).get("phase") in ("Succeeded", "Failed")
-    return ended or bool(pod["metadata"].get("deletionTimestamp"))

@@ -15,9 +15,8 @@ from collections.abc import Collection, Sequence
 from understudy.api import names
 from understudy.api.protocol.monitor_settings import WorkloadSettings
 from understudy.failover.interfaces import Instance
-from understudy.kube.apply import controller_of, released
 from understudy.kube.client import FAILURES, PODS, Object
-from understudy.monitor.act.objects.pod_control import instance_of
+from understudy.monitor.act.objects.pod_control import instance_of, is_stray
 from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.robot.known_senders import host_at
 
@@ -39,18 +38,6 @@ def strays(
         for pod in pods
         if ((instance := instance_of(pod)).uid in uids or host_at(instance.ip) in hosts) and is_stray(pod, settings)
     ]
-
-
-def is_stray(pod: Object, settings: WorkloadSettings) -> bool:
-    """Whether a pod is this workload's but does not have its label. A pod that a pool owns is unclaimed, and drives no robot."""
-    if (pod["metadata"].get("labels") or {}).get(names.WORKLOAD) == settings.workload:
-        return False
-    if (owner := controller_of(pod)) is None:
-        return released(pod) == settings.workload
-    kind, name = owner.get("kind"), owner.get("name", "")
-    if settings.source_kind == "Deployment" and kind == "ReplicaSet":
-        kind, name = "Deployment", name.rpartition("-")[0]
-    return owner.get("uid") == settings.uid or (kind, name) == (settings.source_kind, settings.source_name)
 
 
 class StrayPods:

@@ -14,7 +14,7 @@ from understudy.api import names
 from understudy.api.protocol.monitor_settings import WorkloadSettings
 from understudy.failover.interfaces import ClaimLost, Instance, NotAvailable
 from understudy.kube import claims
-from understudy.kube.apply import controller_of
+from understudy.kube.apply import controller_of, released
 from understudy.kube.client import EVICTION, FAILURES, PODS, REPLICA_SETS, ApiError, Client, Object
 from understudy.kube.repeated_requests import answered
 from understudy.kube.watched_collection import any_changed
@@ -71,6 +71,24 @@ def instance_of(pod: Object) -> Instance:
         ),
         owned=(controller_of(pod) or {}).get("kind") == "RobotWorkload",
     )
+
+
+def is_stray(pod: Object, settings: WorkloadSettings) -> bool:
+    """Whether a pod is this workload's but does not have its label. A pod that a pool owns is unclaimed, and drives no robot."""
+    if (pod["metadata"].get("labels") or {}).get(names.WORKLOAD) == settings.workload:
+        return False
+    if (owner := controller_of(pod)) is None:
+        return released(pod) == settings.workload
+    kind, name = owner.get("kind"), owner.get("name", "")
+    if settings.source_kind == "Deployment" and kind == "ReplicaSet":
+        kind, name = "Deployment", name.rpartition("-")[0]
+    return owner.get("uid") == settings.uid or (kind, name) == (settings.source_kind, settings.source_name)
+
+
+def _ends(pod: Object) -> bool:
+    """Whether a pod has ended or is being deleted."""
+    ended = (pod.get("status") or {}).get("phase") in ("Succeeded", "Failed")
+    return ended or bool(pod["metadata"].get("deletionTimestamp"))
 
 
 class PodControl:
@@ -216,9 +234,29 @@ class PodControl:
         """Give a pod of this workload the labels with which the gate selects it."""
         pod = next((p for p in self._view.all_pods() if p["metadata"]["uid"] == instance.uid), None)
         if pod is not None:
-            await self.put_labels(pod)
+            await self._put_labels(pod)
 
-    async def put_labels(self, pod: Object) -> None:
+    async def regain(self, name: str, uid: str) -> None:
+        """Give a pod that is not listed its labels back, if it exists and runs, belongs to this workload, and lacks its label.
+
+        Waits while the API server does not answer.
+        """
+        try:
+            await answered(partial(self._restore_labels, name, uid))
+        except ApiError as error:
+            if not error.not_found:
+                _logger.warning("could not restore the label %s of %s: %s", names.WORKLOAD, name, error)
+
+    async def _restore_labels(self, name: str, uid: str) -> None:
+        pod = await self._client.get(PODS, self._view.namespace, name)
+        if pod["metadata"]["uid"] != uid or _ends(pod) or not is_stray(pod, self._settings):
+            return
+        await self._put_labels(pod)
+        words = f"pod {name} had lost the label {names.WORKLOAD}, which the gate needs: somebody had changed it"
+        _logger.warning("restored the labels: %s", words)
+        self._notices.event("Warning", "LabelsRestored", words)
+
+    async def _put_labels(self, pod: Object) -> None:
         """Write these labels to a pod that lacks one, also if the pod is not watched because of that."""
         name, uid = pod["metadata"]["name"], pod["metadata"]["uid"]
         wanted = {names.WORKLOAD: self._view.workload, names.INSTANCE: name}
