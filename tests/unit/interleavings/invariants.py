@@ -143,7 +143,9 @@ class Invariants:
             self._broken(f"pod {_name(new)} was claimed by {was[names.CLAIM]} and then by {now.get(names.CLAIM)}")
         if names.WORKLOAD in before and before[names.WORKLOAD] != after.get(names.WORKLOAD):
             self._broken(f"pod {_name(new)} was of {before[names.WORKLOAD]} and then of {after.get(names.WORKLOAD)}")
-        if names.CLAIM in now and controllers and controllers[0]["name"] != after.get(names.WORKLOAD):
+        is_edited = before.get(names.WORKLOAD) == after.get(names.WORKLOAD)  # by somebody, before this write
+        is_other = controllers and controllers[0]["name"] != after.get(names.WORKLOAD)
+        if names.CLAIM in now and is_other and not (names.CLAIM in was and is_edited):
             self._broken(f"pod {_name(new)} is owned by {controllers[0]['name']} and of {after.get(names.WORKLOAD)}")
 
     def _gate(self, old: Object | None, new: Object) -> None:

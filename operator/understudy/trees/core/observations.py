@@ -193,10 +193,13 @@ class TopicRecord:
 
     @property
     def interval(self) -> float:
-        """Return the seconds that usually pass between two samples: the median of the last ones; infinite before the second."""
+        """Return the seconds that usually pass between two samples: the median of the last ones.
+
+        Infinite before the third: two samples may be of two moments that have nothing in common.
+        """
         newest_first = itertools.islice(reversed(self.arrivals), INTERVALS + 1)
         between = [after - before for after, before in itertools.pairwise(newest_first)]
-        return statistics.median(between) if between else math.inf
+        return statistics.median(between) if len(between) > 1 else math.inf
 
     def add(self, received: float) -> None:
         """Note a sample that was received at this time. Late ones are inserted in order."""

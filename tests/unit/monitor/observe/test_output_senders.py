@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 
 import pytest
@@ -12,12 +13,13 @@ from geometry_msgs.msg import Twist
 from std_msgs.msg import String
 
 from tests.unit.monitor.cluster_objects import ClusterObjects, parsed_spec
-from tests.unit.monitor.observed_robot import observing, own_address, policy_with, publisher, until
+from tests.unit.monitor.observed_robot import count, observing, own_address, policy_with, publisher, until
 from understudy.clock import CLOCK
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.pinned import PinnedPod
 from understudy.monitor.observe.robot.health_observer import HealthObserver
 from understudy.monitor.observe.robot.known_senders import host_at
+from understudy.ros.observe.topic_watch import SourceRecord
 
 pytestmark = pytest.mark.ros
 
@@ -91,6 +93,21 @@ async def test_another_instance_is_heard_on_each_output_with_the_period_of_its_s
     mean = (arrivals[-1] - arrivals[0]) / (len(arrivals) - 1)
     assert readers.period_of_others(active) == pytest.approx(mean)
     assert readers.period_of_others(former) == 0.0
+
+
+def test_two_samples_far_apart_do_not_make_a_slow_sender_where_another_one_is_fast(observer: HealthObserver) -> None:
+    beat = publisher(observer, "/beat", String)
+    until(observer, lambda: count(observer, "/beat") > 5, each=lambda: beat.publish(String()))
+    (known,) = observer.output_senders()
+    brief, now = SourceRecord(60.0), time.time()
+    observer.observations.records("/beat")[host_at("192.0.2.1")] = brief
+    for received in (now - 15.5, now):  # somebody edited its label twice, for a moment
+        brief.add(received)
+    found = {sender.host: sender.interval for sender in observer.output_senders()}
+    assert found == {known.host: known.interval, host_at("192.0.2.1"): known.interval}
+    assert known.interval < 1.0
+    brief.add(now + 15.5)
+    assert observer.output_senders()[1].interval == pytest.approx(15.5), "it is slow"
 
 
 def test_a_sender_that_is_no_known_instance_prevents_safe_commands(observer: HealthObserver) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import logging
+import math
 import time
 from collections.abc import Collection, Sequence
 from dataclasses import replace
@@ -227,14 +228,17 @@ class HealthObserver:
         unrecognized = hosts.pop(b"", [])
         found: list[OutputSender] = []
         for topic in self.output_topics:
-            for host, record in self._watching.records(topic).items():
+            records = self._watching.records(topic)
+            usual = min((record.interval for record in records.values()), default=math.inf)
+            for host, record in records.items():
                 if record.last is None or host == self.own_host or time.time() - record.last > REMEMBERED:
                     continue
                 senders = sorted(hosts.get(host, ()), key=lambda one: not one.listed)
                 name = senders[0].name if senders else self._nodes_at(host, topic)
                 uid = senders[0].uid if senders else ""
                 may_be = tuple(one.uid for one in senders or unrecognized)
-                found.append(OutputSender(topic, name, uid, may_be, record.last, host, record.interval))
+                interval = record.interval if math.isfinite(record.interval) else usual
+                found.append(OutputSender(topic, name, uid, may_be, record.last, host, interval))
         return found
 
     def _nodes_at(self, host: bytes, topic: str) -> str:
