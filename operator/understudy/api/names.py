@@ -73,7 +73,7 @@ RECOVERY = f"{GROUP}/recovery"
 SERVER = f"{GROUP}/server"
 """Annotation of a discovery server's Service: the UID of the server's pod and its age (understudy.controller.desired.discovery_server)."""
 BESIDE = f"{GROUP}/beside"
-"""Annotation of a discovery server's pod: the UID of its predecessor's pod, whose process may have lived beside it on a lost node."""
+"""Annotation of a discovery server's pod: UID and address (UID/ADDRESS) of its predecessor's pod, whose process may live on."""
 
 OVERTAKEN = f"{GROUP}/overtaken"
 """Annotation of the gate: the last recovery that was abandoned without an answer to its commit. The API server now refuses this commit."""
@@ -136,6 +136,9 @@ DISCOVERY_ASKED_PORT = 11812
 """UDP port at which managed discovery servers ask each other who is behind their Service."""
 
 DISCOVERY_ASKED_VARIABLE = "UNDERSTUDY_DISCOVERY_ASKED"
+
+DISCOVERY_BESIDE_VARIABLE = "UNDERSTUDY_DISCOVERY_BESIDE"
+"""The file with the annotation BESIDE of a discovery server's own pod."""
 
 MONITOR_ACCOUNT_ENDING = "-understudy-monitor"
 

@@ -45,11 +45,15 @@ def marked(server: Object, beside: str) -> Object:
 
 def test_a_server_beside_one_on_a_lost_node_is_replaced_once_that_one_is_gone(world: World) -> None:
     lost, successor = leaving("w-discovery-1", evicted=True), pod("w-discovery-2")
+    lost["status"]["podIP"] = "10.0.0.7"
     world.discovery = [lost, successor]
     assert writes(world) == [("Patch", "w-discovery-2")]
-    world.discovery = [lost, marked(successor, "uid-w-discovery-1")]
+    (patch,) = (write for write in world.plan().writes if isinstance(write, Patch) and write.item == successor)
+    note = patch.body["metadata"]["annotations"][names.BESIDE]
+    assert note == "uid-w-discovery-1/10.0.0.7", "with its address, the successor can end one that comes back"
+    world.discovery = [lost, marked(successor, note)]
     assert writes(world) == [], "it may still live on"
-    world.discovery = [marked(successor, "uid-w-discovery-1")]
+    world.discovery = [marked(successor, note)]
     assert writes(world) == [("Delete", "w-discovery-2")]
 
 

@@ -13,9 +13,11 @@ import pytest
 
 from tests.support.network_namespaces import Network, network
 from tests.unit.ros.processes import PACKAGE
+from understudy.ros.dds.sole_server import QUIET
 
 pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="network namespaces need root")
 
+ADDRESSES = {"a": "10.64.0.2", "b": "10.64.0.3"}
 SERVICE = "10.64.9.9"
 RUNNING = "import sys, time; print('runs', flush=True); time.sleep(60)"
 WITHIN = 15.0
@@ -25,7 +27,7 @@ class Hosts:
     """Two hosts with a supervised server each, and the Service that leads to one of them."""
 
     def __init__(self, lan: Network, folder: Path) -> None:
-        self._hosts = {"a": lan.host("10.64.0.2"), "b": lan.host("10.64.0.3")}
+        self._hosts = {name: lan.host(address) for name, address in ADDRESSES.items()}
         self._folder = folder
         self._started: dict[str, subprocess.Popen[bytes]] = {}
         self._leads_to = ""
@@ -39,20 +41,32 @@ class Hosts:
         for other in self._hosts.keys() - {host}:  # as long as nobody is asked, it still knows the former one
             self._inside(other, "ip", "neigh", "flush", "dev", "eth0")
 
-    def start(self, host: str) -> None:
+    def lead_each_to_itself(self) -> None:
+        """As on a node that was cut off, and that has not received what the Service leads to since."""
+        (other,) = self._hosts.keys() - {self._leads_to}
+        self._inside(other, "ip", "addr", "add", f"{SERVICE}/16", "dev", "eth0")
+
+    def begin_beside(self, host: str, other: str) -> None:
+        """Note on the pod of a server beside which other one it began, as the operator does."""
+        (self._folder / f"{host}-beside").write_text(f"uid-of-{other}/{ADDRESSES[other]}")
+
+    def start(self, host: str, *, service: str = SERVICE) -> None:
         command = [
             sys.executable,
             "-m",
             "understudy.ros.dds.sole_server",
-            SERVICE,
+            service,
             "11812",
+            str(self._folder / f"{host}-beside"),
             sys.executable,
             "-c",
             RUNNING,
         ]
         with (self._folder / host).open("wb") as log:
             self._started[host] = subprocess.Popen(
-                [*self._hosts[host], *command], stdout=log, env={**os.environ, "PYTHONPATH": str(PACKAGE)}
+                [*self._hosts[host], *command],
+                stdout=log,
+                env={**os.environ, "PYTHONPATH": str(PACKAGE)},
             )
 
     def starts(self, host: str) -> int:
@@ -103,6 +117,34 @@ def test_a_server_ends_when_the_service_leads_to_another_one_and_starts_when_it_
     hosts.lead_to("a")
     eventually(lambda: hosts.starts("a") == 2)
     assert hosts.ends("b") == 1
+
+
+def test_a_server_ends_for_its_successor_although_the_service_still_leads_it_to_itself(hosts: Hosts) -> None:
+    hosts.lead_to("a")
+    hosts.start("a")
+    eventually(lambda: hosts.starts("a") == 1)
+    hosts.lead_to("b")
+    hosts.lead_each_to_itself()
+    hosts.start("b")
+    eventually(lambda: hosts.starts("b") == 1)
+    assert hosts.ends("a") == 0, "it asked only itself"
+
+    hosts.begin_beside("b", "a")
+    eventually(lambda: hosts.ends("a") == 1)
+    time.sleep(QUIET + 2.0)
+    assert (hosts.starts("a"), hosts.ends("b")) == (1, 0), "it stays ended as long as its successor runs"
+
+
+def test_a_server_of_another_workload_does_not_end_it(hosts: Hosts) -> None:
+    hosts.lead_to("a")
+    hosts.start("a")
+    hosts.lead_to("b")
+    hosts.lead_each_to_itself()
+    hosts.begin_beside("b", "a")  # the address of a pod that is gone is that of another workload's server now
+    hosts.start("b", service="10.64.0.3")
+    eventually(lambda: hosts.starts("a") + hosts.starts("b") == 2)
+    time.sleep(2.0)
+    assert hosts.ends("a") == 0
 
 
 def test_a_server_that_receives_no_answer_goes_on(hosts: Hosts) -> None:

@@ -16,6 +16,9 @@ from understudy.ros.rmw import MIDDLEWARE
 _PORTS = {"discovery": names.DISCOVERY_PORT, "asked": names.DISCOVERY_ASKED_PORT}
 """For participants, and for other servers (ros/dds/sole_server.py)."""
 
+_POD = "/etc/understudy/pod"
+"""Folder of the container with what is known of its pod."""
+
 _REQUESTS = {"cpu": "10m", "memory": "32Mi"}
 
 TOLERATIONS: list[Object] = [
@@ -89,11 +92,19 @@ def deployment(workload: str, images: Images, address: str) -> Object:
         "env": [
             {"name": "HOME", "value": "/tmp"},
             {"name": names.DISCOVERY_ASKED_VARIABLE, "value": str(names.DISCOVERY_ASKED_PORT)},
+            {"name": names.DISCOVERY_BESIDE_VARIABLE, "value": f"{_POD}/{names.BESIDE.rpartition('/')[2]}"},
         ],
         "ports": [{"name": name, "containerPort": port, "protocol": "UDP"} for name, port in _PORTS.items()],
         "resources": {"requests": dict(_REQUESTS)},
         "securityContext": HARDENED,
-        "volumeMounts": [{"name": "tmp", "mountPath": "/tmp"}],
+        "volumeMounts": [
+            {"name": "tmp", "mountPath": "/tmp"},
+            {"name": "pod", "mountPath": _POD, "readOnly": True},
+        ],
+    }
+    beside = {
+        "path": names.BESIDE.rpartition("/")[2],
+        "fieldRef": {"fieldPath": f"metadata.annotations['{names.BESIDE}']"},
     }
     pod: Object = {
         "automountServiceAccountToken": False,
@@ -103,7 +114,10 @@ def deployment(workload: str, images: Images, address: str) -> Object:
         **priority(images),
         **pull_secrets(images.pull_secrets),
         "containers": [container],
-        "volumes": [{"name": "tmp", "emptyDir": {}}],
+        "volumes": [
+            {"name": "tmp", "emptyDir": {}},
+            {"name": "pod", "downwardAPI": {"items": [beside]}},
+        ],
     }
     return plan.deployment(names.discovery(workload), _labels(workload), {}, pod)
 
@@ -112,16 +126,19 @@ def replacements(pods: Sequence[Object]) -> list[Write]:
     """Return the writes that replace a server once another one is gone beside which it began.
 
     All servers of a workload have one GUID. A server on a lost node may live on and come back, and participants that hear it do not
-    introduce themselves to its successor. The successor would not know, for example, all topics of the robot, as long as it lives.
+    introduce themselves to its successor. The successor would not know, for example, all topics of the robot, as long as it lives. The
+    annotation also shows the successor where to end the one that comes back (ros/dds/sole_server.py).
     """
     present = {kube_objects.uid(pod) for pod in pods}
-    lost = next((kube_objects.uid(pod) for pod in pods if kube_objects.evicted(pod)), None)
+    lost = next((pod for pod in pods if kube_objects.evicted(pod)), None)
     writes: list[Write] = []
     for pod in filter(kube_objects.alive, pods):
         beside = (pod["metadata"].get("annotations") or {}).get(names.BESIDE)
         if beside is None and lost is not None:
-            writes.append(Patch(PODS, pod, {"metadata": {"annotations": {names.BESIDE: lost}}}))
-        elif beside is not None and beside not in present:
+            address = (lost.get("status") or {}).get("podIP", "")
+            note = f"{kube_objects.uid(lost)}/{address}"
+            writes.append(Patch(PODS, pod, {"metadata": {"annotations": {names.BESIDE: note}}}))
+        elif beside is not None and beside.partition("/")[0] not in present:
             writes.append(Delete(PODS, pod))
     return writes
 

@@ -1,19 +1,25 @@
 """Runs a discovery server for as long as the workload's Service leads to it, and ends it when the Service leads to another one.
 
-    python -m understudy.ros.dds.sole_server ADDRESS PORT COMMAND [ARGUMENT...]
+    python -m understudy.ros.dds.sole_server ADDRESS PORT BESIDE COMMAND [ARGUMENT...]
 
 All discovery servers of a workload have one GUID, since a participant knows no other. Two that run beside each other, such as one on a
 node that counts as lost and its successor, answer the same participants, which then discover only some of each other. Neither
 Kubernetes nor the operator can end a server on a node that they cannot reach. So each server asks ADDRESS, that of the Service, every
 second who answers there: the answer is a token that each process draws for itself.
 
-A server that receives no answer goes on: the network may be down, or may not lead a pod back to itself. ADDRESS and PORT (UDP) are those
-at which servers ask and answer; COMMAND is the server, which starts once no other process has answered for a while.
+A server that receives no answer goes on: the network may be down, or may not lead a pod back to itself. A server on a node that was cut
+off asks only itself, until its node knows again where the Service leads. That may be seconds after its packets reach the participants
+again. So its successor looks for it at its own address, to end it with the first packet that gets through.
+
+ADDRESS and PORT (UDP) are those at which servers ask and answer. BESIDE is a file with the annotation understudy.dev/beside of this pod,
+which names a predecessor (UID/ADDRESS); it may be missing. COMMAND is the server, which starts once no other process has answered for a
+while.
 """
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import secrets
 import select
 import signal
@@ -22,6 +28,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Literal
 
 PERIOD = 1.0
@@ -38,11 +45,14 @@ REPLACED_AFTER = 2
 """Answers of another process in a row after which a server ends. The other one answers from its start, so that this server ends before
 the other one begins."""
 
+SUCCEEDS_EVERY = 0.1
+"""Seconds between two packets to a predecessor that may live on. Its server announces itself twice a second."""
+
 ENDS_WITHIN = 1.0
 """Seconds that the command has to end by itself. It then informs its participants, which need not notice that by themselves."""
 
 TOKEN = 16
-"""Bytes of a token, and of the nonce that belongs to a question."""
+"""Bytes of a token, of the nonce that belongs to a question, and of what names the Service in a packet to a predecessor."""
 
 Answer = Literal["self", "another", "nobody"]
 
@@ -54,8 +64,12 @@ class _Ended(Exception):
 class SoleServer:
     """One server, and the questions to the Service."""
 
-    def __init__(self, address: str, port: int, command: Sequence[str]) -> None:
-        self._at, self._command = (address, port), command
+    def __init__(self, address: str, port: int, beside: Path, command: Sequence[str]) -> None:
+        self._at, self._beside, self._command = (address, port), beside, command
+        self._service = hashlib.sha256(address.encode()).digest()[:TOKEN]
+        """What names the Service: the address of a pod that is gone may be that of another workload's server now."""
+        self._successor: str | None = None
+        """The address from which another server has reported to be the successor of this one."""
         self._family = socket.AF_INET6 if ":" in address else socket.AF_INET
         self._token = secrets.token_bytes(TOKEN)
         self._server: subprocess.Popen[bytes] | None = None
@@ -70,8 +84,12 @@ class SoleServer:
         try:
             while True:
                 asked = time.monotonic()
-                answer = self._ask()
-                others = others + 1 if answer == "another" else 0 if answer == "self" else others
+                if self._successor is not None:
+                    others = REPLACED_AFTER if self._ask(self._successor) == "another" else others
+                    self._successor = None
+                else:
+                    answer = self._ask(self._at[0])
+                    others = others + 1 if answer == "another" else 0 if answer == "self" else others
                 if self._server is None:
                     if others:
                         others, quiet_since = 0, asked
@@ -80,10 +98,10 @@ class SoleServer:
                 elif (status := self._server.poll()) is not None:
                     return status
                 elif others >= REPLACED_AFTER:
-                    print("the Service leads to another discovery server: this one ends", flush=True)
+                    print("another discovery server is in this one's place: this one ends", flush=True)
                     self._stop()
                     others, quiet_since = 0, time.monotonic()
-                self._serve(asked + PERIOD)
+                self._serve(asked + PERIOD, asked + SUCCEEDS_EVERY)
         except _Ended:
             return 0
         finally:
@@ -105,11 +123,11 @@ class SoleServer:
                 self._server.wait()
         self._server = None
 
-    def _ask(self) -> Answer:
+    def _ask(self, address: str) -> Answer:
         """Ask from a port of its own, so that the answer comes from where the Service leads now."""
         nonce = secrets.token_bytes(TOKEN)
         with socket.socket(self._family, socket.SOCK_DGRAM) as asking, contextlib.suppress(OSError):
-            asking.sendto(nonce, self._at)
+            asking.sendto(nonce, (address, self._at[1]))
             end = time.monotonic() + ANSWER_WITHIN
             while (left := end - time.monotonic()) > 0:
                 if asking in self._wait(left, asking):
@@ -118,21 +136,33 @@ class SoleServer:
                         return "self" if answer[TOKEN:] == self._token else "another"
         return "nobody"
 
-    def _serve(self, end: float) -> None:
-        """Answer until a time, by the monotonic clock."""
-        while (left := end - time.monotonic()) > 0:
-            self._wait(left)
+    def _serve(self, end: float, least: float) -> None:
+        """Answer, and look for the predecessor, until a time by the monotonic clock; from ``least`` on only until a successor reports."""
+        while (now := time.monotonic()) < end and not (self._successor is not None and now >= least):
+            self._succeed()
+            self._wait(min(SUCCEEDS_EVERY, end - now))
+
+    def _succeed(self) -> None:
+        """Report to the predecessor that this server runs in its place."""
+        if self._server is None:
+            return
+        with contextlib.suppress(OSError):  # there is no such file, or no way to its address
+            predecessor = self._beside.read_text().strip().partition("/")[2]
+            if predecessor:
+                self._answering.sendto(self._service + self._token, (predecessor, self._at[1]))
 
     def _wait(self, seconds: float, *also: socket.socket) -> list[socket.socket]:
         """Wait for a packet for at most a number of seconds, and answer a question. Returns the sockets that have one."""
         readable, _, _ = select.select([self._answering, *also], [], [], seconds)
         if self._answering in readable:
             with contextlib.suppress(OSError):
-                nonce, sender = self._answering.recvfrom(TOKEN + 1)
-                if len(nonce) == TOKEN:
-                    self._answering.sendto(nonce + self._token, sender)
+                packet, sender = self._answering.recvfrom(2 * TOKEN + 1)
+                if len(packet) == TOKEN:
+                    self._answering.sendto(packet + self._token, sender)
+                elif len(packet) == 2 * TOKEN and packet[:TOKEN] == self._service:
+                    self._successor = sender[0]
         return readable
 
 
 if __name__ == "__main__":
-    sys.exit(SoleServer(sys.argv[1], int(sys.argv[2]), sys.argv[3:]).run())
+    sys.exit(SoleServer(sys.argv[1], int(sys.argv[2]), Path(sys.argv[3]), sys.argv[4:]).run())

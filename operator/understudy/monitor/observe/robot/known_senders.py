@@ -65,8 +65,10 @@ class OutputSender:
     host: bytes = b""
     """What identifies its host in GIDs."""
     interval: float = math.inf
-    """Seconds that usually pass between two of its samples; of a sender with fewer than three, between two of another sender of this output,
-    since the instances of a workload send alike. Infinite if that is not known."""
+    """Seconds that usually pass between two of its samples; infinite if that is not known.
+
+    With fewer than three samples, that of another sender of this output: the instances of a workload send alike.
+    """
 
 
 class KnownSenders:
