@@ -175,6 +175,27 @@ async def test_a_standby_that_was_never_in_control_is_deleted_and_the_active_ins
     assert driven.notices.status.health == "Degraded"
 
 
+async def test_a_standby_that_ends_with_its_deletion_closes_no_gate(tmp_path: Path) -> None:
+    driven = await switched(tmp_path, STANDBY, ACTIVE)
+    await driven.hear(STANDBY, ACTIVE, times=30)
+    assert driven.graces == [("uid-3", 1)]
+    driven.objects.put_pods(replace(STANDBY, terminating=True), ACTIVE)
+    await driven.hear(STANDBY, ACTIVE, times=2)  # what was on its way
+    await driven.hear(ACTIVE, times=20)
+    assert driven.commits == []
+
+
+async def test_a_standby_that_goes_on_sending_after_its_deletion_closes_the_gate(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driven = await switched(tmp_path, STANDBY, ACTIVE)
+    await driven.hear(STANDBY, ACTIVE, times=30)
+    driven.objects.put_pods(replace(STANDBY, terminating=True), ACTIVE)
+    monkeypatch.setattr(leak_response, "STANDBY_ENDS", 0.0)
+    await driven.hear(STANDBY, ACTIVE, times=2)
+    assert driven.commits == [""]
+
+
 async def test_nothing_is_done_about_a_leak_during_a_pause(tmp_path: Path) -> None:
     driven = await switched(tmp_path, FORMER, ACTIVE, pause=Pause(reason="a new gripper", owner="ann"))
     await driven.hear(FORMER, ACTIVE)

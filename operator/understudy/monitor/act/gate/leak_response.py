@@ -32,6 +32,9 @@ STANDBY_AGAIN = 60.0
 """Minimum seconds between two deletions of instances that were never in control. If the network enforces nothing, every standby leaks, and
 its replacement does too."""
 
+STANDBY_ENDS = 2.0
+"""Seconds that such an instance has to end once it is deleted: it has a second of grace. The gate closes only after that."""
+
 CLOSE_WITHIN = 2.0
 """Seconds that the API server has to close the gate; then the loop goes on, and it is tried again."""
 
@@ -49,6 +52,8 @@ class LeakResponse:
         self._gate, self._sole_driver, self._notices = gate, sole_driver, notices
         self._ended: dict[str, float] = {}
         self._standby_ended = self._close_after = -math.inf
+        self._ending_standby = ""
+        """UID of the instance that was deleted then."""
         self._ending: asyncio.Task[None] | None = None
 
     async def respond(self, policy: FailurePolicySpec, now: float) -> bool:
@@ -83,7 +88,7 @@ class LeakResponse:
                 is_new = unix - leak.first < STANDBY_LASTS
                 if is_new or self._gate.state.closed or now - self._standby_ended < STANDBY_AGAIN:
                     continue
-                self._standby_ended = now
+                self._standby_ended, self._ending_standby = now, leak.uid
             self._ended[leak.uid] = now
             found.append(instance)
         return found
@@ -101,13 +106,14 @@ class LeakResponse:
 
     async def _close(self) -> bool:
         """Close the gate if an instance that was in control before reaches the robot beside the active one."""
-        state = self._gate.state
+        state, now = self._gate.state, time.monotonic()
+        ending = self._ending_standby if now - self._standby_ended < STANDBY_ENDS else ""
         former = {
             leak.uid: leak.name
             for leak in self._sole_driver.leaks
-            if leak.is_former and leak.goes_on and leak.uid != state.active_uid
+            if leak.is_former and leak.goes_on and leak.uid not in (state.active_uid, ending)
         }
-        if state.closed or not former or time.monotonic() < self._close_after:
+        if state.closed or not former or now < self._close_after:
             return False
         # The recovery that opened the gate is over, but the pods that failed in it still count as failed.
         left = ended(state.recovery) if state.recovery is not None else None
