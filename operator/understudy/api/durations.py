@@ -19,5 +19,6 @@ def seconds(duration: str) -> float:
     Raises ValueError if the text is not a duration.
     """
     if not re.fullmatch(DURATION_PATTERN, duration):
-        raise ValueError(f"{duration!r} is not a duration: write a number with ms, s, m or h, such as 500ms or 1m30s")
+        shown = duration if len(duration) <= 60 else f"{duration[:57]}..."
+        raise ValueError(f"{shown!r} is not a duration: write a number with ms, s, m or h, such as 500ms or 1m30s")
     return sum(float(number) * _UNIT_SECONDS[unit] for number, unit in _DURATION_PART.findall(duration))

@@ -261,7 +261,11 @@ def from_yaml(text: str, source: str, right: str) -> Any:
     """Parse a text; ``right`` says what is expected. Raises ConfigurationError."""
     try:
         return yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError) as error:  # a date such as 2020-13-45 raises ValueError
+    except (
+        yaml.YAMLError,
+        ValueError,
+        OverflowError,
+    ) as error:  # the last two for dates such as 2020-13-45, and for escapes
         raise ConfigurationError(f"{source} is no YAML: {error}") from error
     except RecursionError as error:
         raise ConfigurationError(f"{source}: lists and mappings are nested too deeply; give {right}") from error

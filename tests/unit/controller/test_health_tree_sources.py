@@ -127,3 +127,15 @@ def test_only_labelled_config_maps_are_stored() -> None:
     for label, kept in (("true", True), ("false", False), (None, False)):
         (config_map,) = trees(label=label).values()
         assert resync.kept(CONFIG_MAPS, config_map) is kept
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["parallel: 0x" + "f" * 5000, r'topic: {name: "\UFFFFFFFF"}', "%YAML 1." + "9" * 5000 + "\n--- {}"],
+    ids=lambda text: text[:20],
+)
+def test_a_tree_with_a_hostile_value_is_reported_on_the_policy(text: str) -> None:
+    """The reconcile of such a policy raised an error and was repeated for ever."""
+    (accepted,) = status(referring(), trees(health_yaml=text))["conditions"]
+    assert (accepted["status"], accepted["reason"]) == ("False", "TreeInvalid")
+    assert accepted["message"].startswith("ConfigMap trees, health.yaml, line 1, column ")

@@ -43,7 +43,7 @@ def test_a_text_is_parsed_as_a_structure(text: str, expected: Any) -> None:
         ("{x: 1, x: 2}", "'x' is given twice; remove one of them"),
         ("json:NaN", "found NaN; give a number"),
         ("json:[1e999]", "found inf; give a number"),
-        ("[.inf]", "found inf; give a number"),
+        ("[.inf]", "found .inf; give a number"),
         ("[&a 1, *a]", r"has an alias \(\*\) in it; write out what it stands for"),
         ("!!python/object:os.system x", "found the tag !!python/object:os.system; remove it"),
         ("{x: !!binary aGk=}", "found the tag !!binary; remove it"),

@@ -21,7 +21,7 @@ from understudy.cli.common.errors import CommandError
 from understudy.cli.manifests.check_findings import Finding, Place
 from understudy.cli.manifests.schema_validation import join
 from understudy.trees.source.positions import TextOffset
-from understudy.trees.source.yaml_scalars import TAG, plain
+from understudy.trees.source.yaml_scalars import HALF_CHARACTER, TAG, Loader, has_half_character, plain
 
 SUFFIXES = (".yaml", ".yml")
 STANDARD_INPUT = "-"
@@ -202,7 +202,7 @@ class _Reader:
                 self._note(Place(1, 1), "the file is empty; add apiVersion, kind, metadata and spec", warning=True)
 
     def _documents(self) -> Iterator[Node]:
-        loader = yaml.SafeLoader(self._text)
+        loader = Loader(self._text)
         try:
             while loader.check_node():
                 node = loader.get_node()
@@ -368,6 +368,9 @@ class _Values:
     def _scalar(self, node: ScalarNode, path: str) -> Any:
         self._tagged(node, path, "str", "bool", "int", "float", "null", "timestamp", "merge", "value")
         found = plain(node)
+        if has_half_character(node.value):
+            self._problem(path, HALF_CHARACTER, self._manifest.place(path))
+            return ""
         if isinstance(found, float) and not math.isfinite(found):
             self._problem(
                 path, f"found {node.value}, which JSON does not support; give a number", self._manifest.place(path)

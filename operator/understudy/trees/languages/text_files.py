@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -14,7 +13,7 @@ from understudy.api.nesting import DEEPEST
 from understudy.trees.languages.notations import load_health
 from understudy.trees.source.positions import WHOLE_FILE, TextOffset, nearest
 from understudy.trees.source.problems import Problem, TreeError
-from understudy.trees.source.yaml_scalars import SCALARS, TAG, plain
+from understudy.trees.source.yaml_scalars import TAG, Loader, plain, refusal
 
 
 def load_text(form: str, text: str, *, path: str, grace: float, begins: TextOffset = WHOLE_FILE) -> Any:
@@ -64,12 +63,14 @@ class _Read:
 
     def _document(self, text: str) -> Node:
         try:
-            node = yaml.compose(text, Loader=yaml.SafeLoader)
+            node = yaml.compose(text, Loader=Loader)
         except yaml.MarkedYAMLError as error:
             mark = error.problem_mark or error.context_mark
             place = self._at(mark.line, mark.column) if mark else self._at(0, 0)
             problem = ", ".join(part for part in (error.context, error.problem) if part)
-            raise TreeError([self._problem_at(place, "", f"this is not YAML: {problem}; correct it here")]) from error
+            raise TreeError(
+                [self._problem_at(place, "", f"this is not YAML: {problem:.200}; correct it here")]
+            ) from error
         except yaml.reader.ReaderError as error:
             before = text[: error.position]
             place = self._at(before.count("\n"), len(before) - before.rfind("\n") - 1)
@@ -117,6 +118,9 @@ class _Read:
             if not isinstance(key, str) or key_node.tag == f"{TAG}merge":
                 self._refuse(key_node, inner, "has a key that is not a text; write a text before the ':'")
                 continue
+            if problem := refusal(key_node):
+                self._refuse(key_node, inner, f"has a key that cannot be read: {problem}")
+                continue
             if key in first:
                 self._refuse(key_node, f"{inner}.{key}", "is given twice; remove one of them")
                 continue
@@ -125,11 +129,7 @@ class _Read:
             yield key, self._value(value_node, f"{inner}.{key}", depth + 1)
 
     def _scalar(self, node: ScalarNode, inner: str) -> Any:
-        if node.tag not in SCALARS:
-            self._refuse(node, inner, f"found the tag {node.tag.replace(TAG, '!!'):.60}; remove it")
+        if problem := refusal(node):
+            self._refuse(node, inner, problem)
             return None
-        found = plain(node)
-        if isinstance(found, float) and not math.isfinite(found):
-            self._refuse(node, inner, f"found {node.value}; give a number")
-            return None
-        return found
+        return plain(node)

@@ -164,9 +164,9 @@ def duration_of(value: object) -> float:
         raise ValueError(f"found {found_text(value)}, which has no unit; write it with ms, s, m or h, such as 500ms")
     length = seconds(value)
     if length <= 0:
-        raise ValueError(f"found {value!r}; it must be longer than 0")
+        raise ValueError(f"found {found_text(value)}; it must be longer than 0")
     if length > LONGEST:
-        raise ValueError(f"found {value!r}; it must be at most {LONGEST // 3600}h")
+        raise ValueError(f"found {found_text(value)}; it must be at most {LONGEST // 3600}h")
     return length
 
 
@@ -192,5 +192,7 @@ def found_text(value: object) -> str:
         return "a mapping"
     if isinstance(value, list):
         return "a list"
-    text = repr(value)
+    if isinstance(value, int) and abs(value) >= 10**60:  # Python refuses to write one with thousands of digits
+        return "a number with more than 60 digits"
+    text = repr(value[:61] if isinstance(value, str) else value)
     return text if len(text) <= 60 else f"{text[:57]}..."

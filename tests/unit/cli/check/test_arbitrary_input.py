@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
 import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -107,3 +108,23 @@ def _dumper(style: str) -> type[yaml.SafeDumper]:
 
     Dumper.add_representer(str, represent)
     return Dumper
+
+
+@pytest.mark.parametrize(
+    "value", ["0x" + "f" * 5000, "9" * 5000, r'"\UFFFFFFFF"', r'"\ud800"', "1.0e+400"], ids=lambda value: value[:20]
+)
+@pytest.mark.parametrize("place", ["{parallel: %s}", "{topic: {name: /cmd_vel, gap: %s}}"])
+def test_values_that_python_cannot_write_give_findings(value: str, place: str) -> None:
+    result = check([("a.yaml", POLICY.replace("{topic: {name: /cmd_vel, gap: 500ms}}", place % value).encode())])
+    assert result.errors
+    _sound(result)
+    assert all(len(finding.message) < 500 for finding in result.findings)
+
+
+@pytest.mark.parametrize(
+    "key", ["? 0x" + "f" * 5000 + "\n: 1\n", "%YAML 1." + "9" * 5000 + "\n---\na: 1\n"], ids=["key", "directive"]
+)
+def test_keys_and_directives_that_python_cannot_write_give_findings(key: str) -> None:
+    result = check([("a.yaml", key.encode())])
+    assert result.findings
+    _sound(result)

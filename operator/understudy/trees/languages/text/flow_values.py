@@ -16,7 +16,15 @@ import yaml
 from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
 from understudy.trees.source.value_reader import JSON_PREFIX, found_text
-from understudy.trees.source.yaml_scalars import SCALARS, TAG, plain
+from understudy.trees.source.yaml_scalars import (
+    HALF_CHARACTER,
+    TAG,
+    Loader,
+    has_half_character,
+    plain,
+    refusal,
+    whole_json,
+)
 
 LONGEST = 16384
 """Most characters of one value."""
@@ -48,6 +56,10 @@ def _checked(value: Any, depth: int) -> Any:
         raise ValueError(_TOO_DEEP)
     if isinstance(value, float) and not math.isfinite(value):
         raise ValueError(f"found {value}; give a number")
+    if isinstance(value, str) and has_half_character(value):
+        raise ValueError(HALF_CHARACTER)
+    if isinstance(value, dict) and any(map(has_half_character, value)):
+        raise ValueError(f"has a key that {HALF_CHARACTER}")
     for inner in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
         _checked(inner, depth + 1)
     return value
@@ -58,7 +70,7 @@ def _checked(value: Any, depth: int) -> Any:
 
 def _json(text: str) -> Any:
     try:
-        return json.loads(text, object_pairs_hook=_once, parse_constant=_no_number)
+        return json.loads(text, object_pairs_hook=_once, parse_int=whole_json, parse_constant=_no_number)
     except json.JSONDecodeError as error:
         message = f"found {found_text(text)}, which is not JSON: {error.msg} at character {error.pos + 1}"
         raise ValueError(f'{message}; write it as in json:{{"data": "hello"}}') from error
@@ -82,11 +94,11 @@ def _no_number(word: str) -> NoReturn:
 
 def _yaml(text: str) -> Any:
     try:
-        node = yaml.compose(text, Loader=yaml.SafeLoader)
+        node = yaml.compose(text, Loader=Loader)
     except yaml.MarkedYAMLError as error:
         problem = ", ".join(part for part in (error.context, error.problem) if part)
         raise ValueError(
-            f"found {found_text(text)}, which is not YAML: {problem}; write it as in {{data: hello}}"
+            f"found {found_text(text)}, which is not YAML: {problem:.200}; write it as in {{data: hello}}"
         ) from error
     except yaml.reader.ReaderError as error:
         raise ValueError(
@@ -100,16 +112,17 @@ def _value(node: Node, visited: set[int]) -> Any:
     if id(node) in visited:
         raise ValueError("has an alias (*) in it; write out what it stands for")
     visited.add(id(node))
-    known = f"{TAG}map" if isinstance(node, MappingNode) else f"{TAG}seq"
-    if node.tag not in (SCALARS if isinstance(node, ScalarNode) else (known,)):
+    if isinstance(node, ScalarNode):
+        if problem := refusal(node):
+            raise ValueError(problem)
+        # A number of JSON, which YAML 1.1 reads as a number only with a decimal point.
+        return float(node.value) if node.style is None and _POWER.fullmatch(node.value) else plain(node)
+    if node.tag != (f"{TAG}map" if isinstance(node, MappingNode) else f"{TAG}seq"):
         raise ValueError(f"found the tag {node.tag.replace(TAG, '!!'):.60}; remove it")
     if isinstance(node, MappingNode):
         return _once(list(_items(node, visited)))
-    if isinstance(node, SequenceNode):
-        return [_value(item, visited) for item in node.value]
-    assert isinstance(node, ScalarNode), "there is no other kind of node"
-    # A number of JSON, which YAML 1.1 reads as a number only with a decimal point.
-    return float(node.value) if node.style is None and _POWER.fullmatch(node.value) else plain(node)
+    assert isinstance(node, SequenceNode), "there is no other kind of node"
+    return [_value(item, visited) for item in node.value]
 
 
 def _items(node: MappingNode, visited: set[int]) -> Iterator[tuple[str, Any]]:
