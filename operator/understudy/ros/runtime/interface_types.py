@@ -8,12 +8,19 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import importlib.util
+import re
 from collections.abc import Mapping
+from importlib.machinery import PathFinder
 from typing import Any
 
 from understudy.ros.runtime.lean_imports import leave_out_generator
 
 leave_out_generator()
+
+_TYPE_NAME = re.compile(r"([A-Za-z][A-Za-z0-9_]*)/(msg|srv|action)/([A-Z][A-Za-z0-9_]*)")
+_packages: set[str] = set()
+"""The packages that are known to have ROS types."""
 
 
 class TypeNotInstalled(LookupError):
@@ -32,14 +39,15 @@ def interface_class(type_name: str) -> Any:
 
     Raises ValueError if the name is malformed, TypeNotInstalled if the image does not have the type.
     """
-    parts = type_name.split("/")
-    if len(parts) != 3 or parts[1] not in ("msg", "srv", "action") or not all(part.isidentifier() for part in parts):
-        raise ValueError(f"{type_name!r} is not a ROS type: write package/msg/Name, such as geometry_msgs/msg/Twist")
-    package, kind, name = parts
-    try:
-        importlib.import_module(package)
-    except ImportError:
-        raise TypeNotInstalled(type_name, f"there is no package {package}") from None
+    parts = _TYPE_NAME.fullmatch(type_name)
+    if parts is None:
+        raise ValueError(
+            f"{type_name!r:.200} is not a ROS type: write package/msg/Name, such as geometry_msgs/msg/Twist"
+        )
+    package, kind, name = parts.groups()
+    if package not in _packages:
+        _refuse_others(package, type_name)
+        _packages.add(package)
     try:
         module = importlib.import_module(f"{package}.{kind}")
     except ImportError as error:
@@ -60,6 +68,23 @@ def interface_class(type_name: str) -> Any:
     if meta._TYPE_SUPPORT is None:  # rosidl reports a failed import in its debug log only
         raise TypeNotInstalled(type_name, "its libraries do not load")
     return found
+
+
+def _refuse_others(package: str, type_name: str) -> None:
+    """Raise TypeNotInstalled unless a package has ROS types, without importing it.
+
+    Importing a module executes it, and a policy, or any participant of the DDS domain, chooses the names of types. All
+    packages of ROS types contain this library, also those outside the ament index, and without it no type is usable.
+    """
+    try:
+        spec = importlib.util.find_spec(package)
+    except ValueError:  # a module without a specification, such as one that was made at run time
+        raise TypeNotInstalled(type_name, f"{package} is not a package of ROS types") from None
+    if spec is None:
+        raise TypeNotInstalled(type_name, f"there is no package {package}")
+    places = list(spec.submodule_search_locations or ())
+    if PathFinder.find_spec(f"{package}_s__rosidl_typesupport_c", places) is None:
+        raise TypeNotInstalled(type_name, f"{package} is not a package of ROS types")
 
 
 def message_class(type_name: str) -> Any:
