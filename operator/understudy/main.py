@@ -93,15 +93,18 @@ def main() -> int:
     if verb is None:
         print(f"understudy: unknown verb {arguments[0]!r}{_suggestion(arguments[0])}", file=sys.stderr)
         return 2
+    if not verb.in_pods:
+        with importlib.import_module("understudy.cli.common.text.terminal").guarded_output():
+            return _run(verb, arguments[1:])
+    _end(_run(verb, arguments[1:]))
+
+
+def _run(verb: Verb, arguments: list[str]) -> int:
     try:
-        status: int = import_frozen(verb.module).main(arguments[1:])
+        status: int = import_frozen(verb.module).main(arguments)
     except Exception:
-        if not verb.in_pods:
-            raise
         traceback.print_exc()
-        status = 1
-    if verb.in_pods:
-        _end(status)
+        return 1
     return status
 
 

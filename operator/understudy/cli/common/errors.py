@@ -6,6 +6,8 @@ import functools
 import sys
 from collections.abc import Callable
 
+from understudy.api.plain_text import plain
+
 ERROR = 2
 """Exit status of a verb that cannot be carried out. argparse exits with it, too."""
 
@@ -29,7 +31,9 @@ def reports_errors(verb: str) -> Callable[[Main], Main]:
             try:
                 return main(arguments)
             except CommandError as error:
-                print(f"understudy {verb}: {error}", file=sys.stderr)
+                # Further lines are indented, so that a line of others does not look like one of ours.
+                lines = "\n  ".join(map(plain, str(error).split("\n")))
+                print(f"understudy {verb}: {lines}", file=sys.stderr)
                 return ERROR
 
         return reporting

@@ -7,6 +7,7 @@ import contextlib
 import time
 
 from understudy.api import names
+from understudy.api.plain_text import plain
 from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options
 from understudy.cli.common.errors import CommandError, reports_errors
 from understudy.cli.control import signature
@@ -30,7 +31,7 @@ def main(arguments: list[str]) -> int:
     where = f"{item['metadata']['namespace']}/{item['metadata']['name']}"
     pause = (before.get("spec") or {}).get("pause")
     was = f"pause ended; it was paused by {pause.get('owner')}: {pause.get('reason')}" if pause else "it was not paused"
-    print(f"{where}: {was}. A failure is recovered at once again, and the budget (limits.budget) is reset.")
+    print(f"{where}: {plain(was)}. A failure is recovered at once again, and the budget (limits.budget) is reset.")
     return 0
 
 

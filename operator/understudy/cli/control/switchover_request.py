@@ -11,6 +11,7 @@ from typing import Any
 from understudy.api import names
 from understudy.api.kinds.robot_workload import Recovery, RobotWorkloadStatus
 from understudy.api.kinds.switchover_spec import ENDED, SwitchoverStatus, Verb, request
+from understudy.api.plain_text import plain
 from understudy.cli.common import option_rules
 from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options
 from understudy.cli.common.errors import CommandError
@@ -91,7 +92,7 @@ def _refuse(item: Mapping[str, Any]) -> None:
         raise CommandError(f"the monitor of {name} is not running and cannot carry it out: understudy explain {name}")
     found = status.switchover
     if found is not None and found.request and found.phase not in ENDED:
-        raise CommandError(f'"{found.request}" is under way ({found.phase.lower()}: {found.message})')
+        raise CommandError(f'"{plain(found.request)}" is under way ({found.phase.lower()}: {plain(found.message)})')
 
 
 def _end(found: SwitchoverStatus, status: RobotWorkloadStatus, columns: int | None) -> Iterator[str]:

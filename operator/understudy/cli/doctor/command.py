@@ -12,12 +12,12 @@ from typing import Any
 
 from understudy import __version__
 from understudy.api.output_formats import structured
+from understudy.api.plain_text import plain
 from understudy.cli.common import option_rules
 from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options
 from understudy.cli.common.cluster_access.kubectl_proxy import Api, Refused, proxied
 from understudy.cli.common.errors import ERROR, CommandError, reports_errors
 from understudy.cli.common.text import terminal
-from understudy.cli.common.text.tree_text import plain
 from understudy.cli.doctor import (
     clock_check,
     discovery_check,
@@ -68,11 +68,13 @@ def main(arguments: list[str]) -> int:
 @contextlib.contextmanager
 def _progress() -> Iterator[Callable[[str], None]]:
     """Show the current step: in a terminal in one line that is erased at the end, else in a line for each step."""
-    before, after = ("\r\x1b[K", " …") if sys.stderr.isatty() else ("", "\n")
+    if not sys.stderr.isatty():
+        yield lambda what: print(plain(what), file=sys.stderr, flush=True)
+        return
     try:
-        yield lambda what: print(f"{before}{plain(what)}", end=after, file=sys.stderr, flush=True)
+        yield lambda what: terminal.replace_line(sys.stderr, f"{what} …")
     finally:
-        print(before, end="", file=sys.stderr, flush=True)
+        terminal.replace_line(sys.stderr, "")
 
 
 class _Examination:

@@ -6,7 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from understudy.cli.common.text.tree_text import coloured, plain
+from understudy.api.plain_text import plain
+from understudy.cli.common.text.tree_text import coloured
 from understudy.cli.common.text.wording import counted, listed, wrapped
 
 Level = Literal["OK", "WARN", "FAIL"]

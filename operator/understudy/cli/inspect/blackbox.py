@@ -16,12 +16,12 @@ from pydantic import ValidationError
 from understudy.api import names
 from understudy.api.kinds.recording_spec import Recording, Recordings
 from understudy.api.output_formats import structured
+from understudy.api.plain_text import plain
 from understudy.cli.common import option_rules
 from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options
 from understudy.cli.common.errors import ERROR, CommandError, reports_errors
 from understudy.cli.common.text import terminal
 from understudy.cli.common.text.text_tables import format_texts
-from understudy.cli.common.text.tree_text import plain
 from understudy.cli.common.text.wording import age, clock, counted, wrapped
 from understudy.cli.inspect.tree import fetch_json, monitor_pod
 

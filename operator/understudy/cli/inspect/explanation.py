@@ -17,10 +17,11 @@ from understudy.api.conditions import Condition
 from understudy.api.health_reasons import decisive, why
 from understudy.api.kinds.failure_policy import FailurePolicySpec, Strategy, in_force
 from understudy.api.kinds.robot_workload import Recovery, RobotWorkloadSpec, RobotWorkloadStatus
+from understudy.api.plain_text import plain
 from understudy.cli.common.recovery_under_way import under_way
 from understudy.cli.common.robots import DRIVEN, UNWATCHED, Problem, Robot, is_reported, pool, robot, status_of
 from understudy.cli.common.text.time_bars import length
-from understudy.cli.common.text.tree_text import coloured, plain
+from understudy.cli.common.text.tree_text import coloured
 from understudy.cli.common.text.wording import age, listed, wrapped
 from understudy.cli.inspect import limit_text
 from understudy.cli.inspect.cluster_observation import WorkloadObjects

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from typing import get_args
 
 from understudy.api.kinds.robot_workload import Health
+from understudy.api.plain_text import plain
 from understudy.cli.common.robots import UNWATCHED, LastRecovery, Pool, Problem, Robot, is_reported, summary
 from understudy.cli.common.text import text_tables
 from understudy.cli.common.text.text_tables import Cell
 from understudy.cli.common.text.time_bars import length, short
-from understudy.cli.common.text.tree_text import coloured, plain
+from understudy.cli.common.text.tree_text import coloured
 from understudy.cli.common.text.wording import age, counted, listed, wrapped
 
 MOST_LINES = 3

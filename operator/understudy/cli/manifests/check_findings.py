@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from understudy.cli.common.text.tree_text import plain
+from understudy.api.plain_text import plain
 
 LONGEST = 1000
 """Most characters of a message; some quote the value that was found."""

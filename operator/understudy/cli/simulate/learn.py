@@ -11,9 +11,9 @@ from array import array
 from collections.abc import Iterator
 from typing import Any
 
+from understudy.api.plain_text import plain
 from understudy.cli.common import option_rules
 from understudy.cli.common.errors import CommandError, reports_errors
-from understudy.cli.common.text.tree_text import plain
 from understudy.cli.common.text.wording import wall
 from understudy.cli.simulate.bags import Bag
 from understudy.cli.simulate.leaf_history import Failure

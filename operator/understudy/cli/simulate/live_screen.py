@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TextIO
 
+from understudy.api.plain_text import plain
 from understudy.cli.common.text import terminal
-from understudy.cli.common.text.tree_text import WORDS, Rates, coloured, plain, rough, tree_lines
+from understudy.cli.common.text.tree_text import WORDS, Rates, coloured, rough, tree_lines
 from understudy.cli.common.text.wording import wall
 from understudy.cli.simulate.leaf_history import Evaluation, Failure
 from understudy.trees.core.observations import Observations
@@ -58,7 +59,7 @@ class Screen:
         self._drawn = self._counted = 0.0
         self._before: list[Shown] = []
         self._rates = Rates()
-        self._out.write(terminal.BEGIN)
+        terminal.begin(out)
 
     def show(self, evaluation: Evaluation, observations: Observations, now: float, notes: Sequence[str]) -> None:
         """Redraw at once after a change, and else twice a second for the figures."""
@@ -76,8 +77,7 @@ class Screen:
 
     def close(self) -> None:
         """Restore the terminal."""
-        self._out.write(terminal.END)
-        self._out.flush()
+        terminal.end(self._out)
 
 
 Display = Lines | Screen

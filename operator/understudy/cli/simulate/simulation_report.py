@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Any
 
+from understudy.api.plain_text import plain
 from understudy.cli.common.text.text_tables import format_texts
-from understudy.cli.common.text.tree_text import plain
 from understudy.cli.common.text.wording import wall
 from understudy.cli.simulate.bags import Bag
 from understudy.cli.simulate.fault_times import matched

@@ -12,8 +12,8 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from understudy.api.base import seconds
+from understudy.api.plain_text import plain
 from understudy.cli.common.errors import CommandError, reports_errors
-from understudy.cli.common.text.tree_text import plain
 from understudy.cli.simulate import policy_file
 from understudy.cli.simulate.leaf_history import Evaluation
 from understudy.cli.simulate.live_screen import Display, Lines, Screen, describe

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from understudy.api.kinds.robot_workload import Attempt, Recovery
+from understudy.api.plain_text import plain
 from understudy.cli.common.text.time_bars import LEGEND, MOMENTS, NAMES, bar, length, short, stacked
-from understudy.cli.common.text.tree_text import coloured, plain
+from understudy.cli.common.text.tree_text import coloured
 from understudy.cli.common.text.wording import age, clock, counted, unix, wrapped
 
 UNBOUNDED = 100

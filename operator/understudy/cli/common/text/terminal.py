@@ -5,13 +5,67 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import re
 import shutil
 import sys
 from collections.abc import Iterable, Iterator, Sequence
-from typing import TextIO
+from typing import Any, TextIO, cast
+
+from understudy.api.plain_text import plain
 
 BEGIN, END = "\x1b[?1049h\x1b[?25l", "\x1b[?25h\x1b[?1049l"
 """Switch to the alternate screen and hide the cursor; and the reverse."""
+
+_LINES, _COLOURS = r"\r?\n|\t", r"\x1b\[(?:0|2|32|33|1;31)m"
+"""The control characters that are printed: those of lines and, in a terminal, the colours of :mod:`tree_text`."""
+_IN_FILES, _IN_TERMINALS, _IN_ROWS = (re.compile(f"({kept})") for kept in (_LINES, f"{_LINES}|{_COLOURS}", _COLOURS))
+
+
+class _Guarded:
+    """A stream that escapes control characters, because texts of others would control the terminal with them."""
+
+    def __init__(self, out: TextIO) -> None:
+        self.out = out
+        self._kept = _IN_TERMINALS if colours(out) else _IN_FILES
+
+    def write(self, text: str) -> int:
+        """Write a text with all control characters escaped, except those of lines and colours."""
+        self.out.write(_escaped(text, self._kept))
+        return len(text)
+
+    def writelines(self, lines: Iterable[str]) -> None:
+        """Write texts in the same way."""
+        for line in lines:
+            self.write(line)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.out, name)
+
+
+def _escaped(text: str, kept: re.Pattern[str]) -> str:
+    parts = kept.split(text)
+    return "".join(part if index % 2 else plain(part) for index, part in enumerate(parts))
+
+
+def _raw(out: TextIO) -> TextIO:
+    return out.out if isinstance(out, _Guarded) else out
+
+
+@contextlib.contextmanager
+def guarded(out: TextIO) -> Iterator[TextIO]:
+    """Yield a stream that writes to another one and escapes control characters. Only functions of this module write others."""
+    yield cast(TextIO, _Guarded(_raw(out)))
+
+
+@contextlib.contextmanager
+def guarded_output() -> Iterator[None]:
+    """Escape control characters in everything that is printed in the context."""
+    before = sys.stdout, sys.stderr
+    try:
+        with guarded(sys.stdout) as sys.stdout, guarded(sys.stderr) as sys.stderr:
+            yield
+    finally:
+        sys.stdout, sys.stderr = before
 
 
 def colours(out: TextIO) -> bool:
@@ -38,8 +92,8 @@ def rows() -> int:
 
 def write(lines: Iterable[str]) -> None:
     """Print lines. Characters that the terminal cannot show are escaped, and the reader, such as ``head``, may have exited."""
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")
+    if isinstance(out := _raw(sys.stdout), io.TextIOWrapper):
+        out.reconfigure(errors="backslashreplace")
     try:
         for line in lines:
             print(line)
@@ -51,18 +105,34 @@ def write(lines: Iterable[str]) -> None:
 @contextlib.contextmanager
 def screen(out: TextIO) -> Iterator[None]:
     """Use the alternate screen of the terminal for the duration of the context."""
-    out.write(BEGIN)
+    begin(out)
     try:
         yield
     finally:
         with contextlib.suppress(BrokenPipeError):
-            out.write(END)
-            out.flush()
+            end(out)
+
+
+def begin(out: TextIO) -> None:
+    """Switch to the alternate screen."""
+    _raw(out).write(BEGIN)
+
+
+def end(out: TextIO) -> None:
+    """Switch back from the alternate screen."""
+    _raw(out).write(END)
+    out.flush()
+
+
+def replace_line(out: TextIO, text: str) -> None:
+    """Write a text in place of the current line of a terminal."""
+    _raw(out).write(f"\r\x1b[K{plain(text)}")
+    out.flush()
 
 
 def draw(out: TextIO, screen: Sequence[str]) -> None:
     """Write as many of these lines as fit. A line that fills its row loses its last character."""
     # DECAWM is off meanwhile, so that the terminal cuts long lines.
-    body = "".join(f"{line}\x1b[K\r\n" for line in screen[: rows()])
-    out.write(f"\x1b[?7l\x1b[H{body}\x1b[J\x1b[?7h\r\nPress Ctrl-C to exit. This view is read-only.\x1b[K")
+    body = "".join(f"{_escaped(line, _IN_ROWS)}\x1b[K\r\n" for line in screen[: rows()])
+    _raw(out).write(f"\x1b[?7l\x1b[H{body}\x1b[J\x1b[?7h\r\nPress Ctrl-C to exit. This view is read-only.\x1b[K")
     out.flush()

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Sequence
 from typing import NamedTuple
 
-from understudy.cli.common.text.tree_text import coloured, plain
+from understudy.api.plain_text import plain
+from understudy.cli.common.text.tree_text import coloured
 
 _GAP = 2
 

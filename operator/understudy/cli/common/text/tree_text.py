@@ -6,6 +6,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from understudy.api.plain_text import plain
+
 WORDS = {"Healthy": "healthy", "Starting": "starting", "Failed": "FAILED", "Idle": "idle", "Unasked": "not evaluated"}
 _COLOURS = {"Healthy": "32", "Starting": "33", "Degraded": "33", "Recovering": "33", "Failed": "1;31"}
 _FAINT = "2"
@@ -74,11 +76,6 @@ def tree_lines(tree: Mapping[str, Any] | None, rates: Rates, *, colours: bool) -
 def coloured(text: str, state: str, *, colours: bool) -> str:
     """Return a text in the colour of a state."""
     return f"\x1b[{_COLOURS.get(state, _FAINT)}m{text}\x1b[0m" if colours else text
-
-
-def plain(text: object) -> str:
-    """Escape control characters: names and messages come from others and must not move the cursor."""
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in str(text))
 
 
 def rough(seconds: float) -> str:

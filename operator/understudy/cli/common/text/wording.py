@@ -7,7 +7,7 @@ import textwrap
 from collections.abc import Iterable
 from datetime import UTC, datetime
 
-from understudy.cli.common.text.tree_text import plain
+from understudy.api.plain_text import plain
 
 _LABEL = re.compile(r"\S+(?: \S+)?\s{2,}")
 _LONGEST = 12

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 
-from understudy.cli.common.text.tree_text import plain
+from understudy.api.plain_text import plain
 
 
 class Markup(str):
