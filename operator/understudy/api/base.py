@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Annotated, Any, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic.alias_generators import to_camel
 from pydantic_core import PydanticCustomError
 
@@ -15,6 +15,7 @@ from understudy.api.durations import LONGEST_TEXT as LONGEST_TEXT
 from understudy.api.durations import seconds as seconds
 from understudy.api.names import GROUP as GROUP
 from understudy.api.nesting import DEEPEST, is_too_deep
+from understudy.api.plain_text import one_line
 from understudy.api.ros_names import ROS_NAME_MESSAGE, ROS_NAME_PATTERN
 
 VERSION = "v1alpha1"
@@ -115,6 +116,19 @@ BOUNDED = AfterValidator(_bounded)
 
 UnknownContent = Annotated[dict[str, Any], BOUNDED]
 """A field that keeps unknown content."""
+
+
+REPORTED_MOST = 4096
+"""Most characters of a text in a status, except the messages of conditions."""
+
+
+def reported(text: Any) -> Any:
+    """Return a text as a status contains it: in one line, with control characters escaped, and cut at its end."""
+    return one_line(text, REPORTED_MOST) if isinstance(text, str) else text
+
+
+ReportedText = Annotated[str, BeforeValidator(reported)]
+"""A text in a status. It may quote others, such as the log of a robot's node."""
 
 
 class Model(BaseModel):

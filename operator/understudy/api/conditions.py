@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from understudy.api.base import Model
+from understudy.api.plain_text import one_line
 
 MESSAGE_MOST = 32768
 """Longest message of a condition, in characters."""
@@ -53,14 +54,15 @@ def condition(
 ) -> Condition:
     """Return a condition that begins now. :func:`merged` keeps an older transition time if the status did not change.
 
-    A message that is too long, such as the API server's errors for every field of a template, is cut at the end.
+    A message may quote others, such as the log of a robot's node, so control characters in it are escaped. One that is too
+    long, such as the API server's errors for every field of a template, is cut at the end.
     """
     text: Status = status if isinstance(status, str) else ("True" if status else "False")
     return Condition(
         type=type_,
         status=text,
         reason=reason,
-        message=message if len(message) <= MESSAGE_MOST else f"{message[: MESSAGE_MOST - 1]}…",
+        message=one_line(message, MESSAGE_MOST),
         last_transition_time=now(),
         observed_generation=generation,
     )

@@ -14,7 +14,7 @@ from typing import Literal
 
 from pydantic import Field, ValidationError
 
-from understudy.api.base import Model
+from understudy.api.base import Model, ReportedText
 from understudy.api.kinds.robot_workload import Attempt, DependencyRecovery, Moments, Parts, Recovery
 from understudy.api.kinds.state_spec import RestoredState
 from understudy.api.kinds.switchover_spec import Kind
@@ -36,7 +36,7 @@ class Progress(Model):
     """One recovery in progress. Times are those of this process's clock (understudy.clock), and in a record those of the system's clock."""
 
     id: str = Field(default_factory=lambda: uuid.uuid4().hex[:12])
-    reason: str
+    reason: ReportedText
     failed: list[PodIdentity] = Field(default_factory=list)
     """Pods that failed: the one that was active, then every understudy that was not verified."""
     target: PodIdentity | None = None

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any, Literal, TypeVar
 
+from understudy.api.plain_text import one_line
 from understudy.kube.client import EVENTS, FAILURES, ApiError, Client, Object
 
 _logger = logging.getLogger(__name__)
@@ -93,7 +94,7 @@ class Recorder:
 
     async def _report(self, about: Object, kind: Literal["Warning", "Normal"], reason: str, message: str) -> None:
         now = self._clock()
-        message = message if len(message) <= MESSAGE_MOST else message[: MESSAGE_MOST - 1] + "…"
+        message = one_line(message, MESSAGE_MOST)
         subject = (about.get("uid", ""), about.get("namespace", ""), about.get("kind", ""), about.get("name", ""))
         common = (*subject, kind, reason)
         if self._too_many(common, message, now):

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import Any, Literal, Self
 
-from understudy.api.conditions import Condition, condition, merged
+from understudy.api.conditions import MESSAGE_MOST, Condition, condition, merged
 from understudy.api.kinds.robot_workload import (
     DependencyRecovery,
     GateStatus,
@@ -28,6 +28,7 @@ from understudy.api.kinds.situation_spec import SituationStatus
 from understudy.api.kinds.state_spec import KeptStatus
 from understudy.api.kinds.switchover_spec import SwitchoverStatus
 from understudy.api.kinds.task_spec import TaskStatus
+from understudy.api.plain_text import one_line
 from understudy.clock import CLOCK
 from understudy.failover.progress import ListedRecovery, Progress, listed_recoveries, rfc3339
 
@@ -430,6 +431,7 @@ class Notices:
 
     def condition(self, type_: str, status: str, reason: str, message: str = "") -> bool:
         """Set a condition. Returns whether its status or reason changed."""
+        message = one_line(message, MESSAGE_MOST)
         old = self._status.by_type.get(type_)
         if old and (old.status, old.reason, old.message) == (status, reason, message):
             if self._generation is not None and old.observed_generation != self._generation:

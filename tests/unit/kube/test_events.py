@@ -132,3 +132,14 @@ async def test_a_failed_write_of_an_event_raises_nothing(
 async def test_a_long_message_is_cut_to_the_limit_of_the_api_server(recorder: Recorder, client: MemoryClient) -> None:
     await recorder.warning(TARGET, "TemplateInvalid", "x" * 5000)
     assert len(stored(client)[0]["message"]) <= events.MESSAGE_MOST
+
+
+async def test_an_event_has_no_control_characters_and_is_bounded(recorder: Recorder, client: MemoryClient) -> None:
+    """The reason of a failure may quote the log of a robot's node."""
+    await recorder.warning(
+        TARGET, "RecoveryFailed", "amcl says ERROR: \x1b[2J\x1b]0;owned\x07\nrobot-18 is \u202ehealthy"
+    )
+    await recorder.warning(TARGET, "RecoveryFailed", "\x1b" * 10**6)
+    first, second = stored(client)
+    assert first["message"] == r"amcl says ERROR: \x1b[2J\x1b]0;owned\x07 robot-18 is \u202ehealthy"
+    assert len(second["message"]) == events.MESSAGE_MOST

@@ -55,6 +55,14 @@ def test_the_leaf_fails_with_a_message_and_recovers_after_the_quiet_time():
     assert say(judged, 16.0, msg="once\n more").at(16.0).reason.endswith("(controller_server says ERROR: once more)")
 
 
+def test_control_characters_in_a_log_message_do_not_get_into_the_reason():
+    """Any node of the robot may log them, and the reason is shown in terminals."""
+    hostile = {"name": "amcl\x1b]0;owned\x07", "msg": "lost\x1b[2J\x9b31m\u202e"}
+    reason = say(world(), 10.5, **hostile).at(10.5).reason
+    assert reason.isprintable()
+    assert r"amcl\x1b]0;owned\x07 says ERROR: lost\x1b[2J\x9b31m\u202e" in reason
+
+
 def test_fewer_than_the_count_within_the_window_are_no_failure():
     judged = world(count=3, window="10s")
     for time in (10.0, 15.0, 20.0, 25.0, 30.0):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from understudy.api.base import Model
+from understudy.api.base import Model, reported
 from understudy.api.moments import Moment, in_words, unix
 
 FENCE = "fenced: "
@@ -42,4 +42,4 @@ class Pause(Model):
     def words(self) -> str:
         """Who paused the workload, why and until when."""
         until = f", until {in_words(self.end)}" if self.end is not None else ""
-        return f"paused by {self.owner}: {self.reason.rstrip('.')}{until}"
+        return f"paused by {reported(self.owner)}: {reported(self.reason).rstrip('.')}{until}"

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from understudy.api.base import Duration, Model, length, matching, with_rules
+from understudy.api.base import Duration, Model, ReportedText, length, matching, with_rules
 from understudy.api.conditions import Time
 from understudy.api.quantities import amount
 
@@ -51,7 +51,7 @@ class Recording(Model):
     """Number of the recovery."""
     failed: Time
     """When the failure was detected."""
-    reason: str
+    reason: ReportedText
     """What failed."""
     result: str
     """Recovered or Failed."""

@@ -11,6 +11,7 @@ from understudy.api.base import (
     LocalReference,
     Model,
     ObjectName,
+    ReportedText,
     RosName,
     UnknownContent,
     length,
@@ -366,7 +367,7 @@ class Attempt(Model):
     result: Literal["Verified", "NotVerified", "NotAvailable"]
     """Verified: the monitor received outputs of the new instance, and of no other known one. NotVerified: not in time.
     NotAvailable: the strategy could not be tried."""
-    message: str = ""
+    message: ReportedText = ""
     """Reason for the result."""
 
 
@@ -386,7 +387,7 @@ class Recovery(Model):
     """Identifies the recovery. The id stays the same if the monitor restarts."""
     number: int = 0
     """Number of this recovery, counted from 1 for each workload."""
-    reason: str
+    reason: ReportedText
     """What failed, such as a leaf of the health tree or the pod, or why the switchover was planned."""
     result: Literal["Running", "Recovered", "Failed"]
     """Running, Recovered or Failed."""

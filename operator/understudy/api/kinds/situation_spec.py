@@ -6,7 +6,7 @@ from typing import Self
 
 from pydantic import model_validator
 
-from understudy.api.base import Model, RosName, with_rules
+from understudy.api.base import Model, ReportedText, RosName, with_rules
 from understudy.api.conditions import Time
 from understudy.api.kinds.tree_spec import ShortForm, Text, Written
 
@@ -49,5 +49,5 @@ class SituationStatus(Model):
     """Name of one of the policy's spec.situations."""
     since: Time
     """When the situation began."""
-    reason: str = ""
+    reason: ReportedText = ""
     """Why the situation applies."""

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from understudy.api.base import Duration, Model, ObjectName, RosName, matching, unique, with_rules
+from understudy.api.base import Duration, Model, ObjectName, ReportedText, RosName, matching, unique, with_rules
 from understudy.api.conditions import Time
 from understudy.api.ros_names import ROS_TYPE_MESSAGE
 from understudy.kinematics.pose_decoding import ODOMETRY, POSE_TYPES
@@ -128,7 +128,7 @@ class KeptStatus(Model):
     """When the message or value that would be restored now was recorded."""
     bytes: int = 0
     """Size in bytes."""
-    message: str = ""
+    message: ReportedText = ""
     """What is wrong with the item, if anything."""
 
 
@@ -144,5 +144,5 @@ class RestoredState(Model):
     carried_metres: float | None = None
     """Distance over which the pose was propagated, from the kept pose to the restored one, in metres. Absent if the
     pose was not propagated."""
-    message: str = ""
+    message: ReportedText = ""
     """Why the item was not restored or not propagated, or what is uncertain about it."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Literal
 
-from understudy.api.base import Duration, Model
+from understudy.api.base import Duration, Model, ReportedText
 from understudy.api.conditions import Time
 
 Verb = Literal["failover", "failback"]
@@ -70,7 +70,7 @@ class SwitchoverStatus(Model):
     prepared, or is prepared and waits for the reason in the message. Switching: the gate is open for the understudy,
     and its outputs are not yet verified at the robot. Done: the understudy controls the robot. NotDone: the switchover
     was given up, and the previous instance still controls the robot."""
-    message: str = ""
+    message: ReportedText = ""
     """Why the switchover waits or did not happen, or its result."""
     target: str = ""
     """Name of the understudy's pod."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from understudy.api.base import Duration, Model, RosName, matching
+from understudy.api.base import Duration, Model, ReportedText, RosName, matching
 from understudy.api.ros_names import ROS_TYPE_MESSAGE
 
 ACTION_TYPE_PATTERN = r"^[a-zA-Z][a-zA-Z0-9_]*/action/[A-Z][a-zA-Z0-9]*$"
@@ -37,5 +37,5 @@ class TaskStatus(Model):
     """Number of active goals."""
     resent: int = 0
     """Number of goals that were moved to another instance since the monitor's pod started."""
-    message: str = ""
+    message: ReportedText = ""
     """What is wrong with the task, if anything."""

@@ -10,7 +10,6 @@ from datetime import UTC, datetime
 from understudy.api.base import DURATION_MESSAGE, seconds
 from understudy.api.kinds.pause_spec import Pause
 from understudy.api.moments import MOMENT_MESSAGE, MOMENT_PATTERN, unix
-from understudy.api.plain_text import plain
 from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options
 from understudy.cli.common.errors import CommandError, reports_errors
 from understudy.cli.control import signature
@@ -24,7 +23,7 @@ def main(arguments: list[str]) -> int:
     item = Kubectl(options).patch(WORKLOADS, options.name, {"spec": {"pause": pause.to_wire() | _no_end(pause)}})
     where = f"{item['metadata']['namespace']}/{item['metadata']['name']}"
     print(
-        f"{where}: {plain(pause.words)}. Understudy takes no action and sends no safe command. understudy resume ends the pause."
+        f"{where}: {pause.words}. Understudy takes no action and sends no safe command. understudy resume ends the pause."
     )
     return 0
 

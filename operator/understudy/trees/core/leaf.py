@@ -11,6 +11,7 @@ from typing import Literal
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
+from understudy.api.plain_text import one_line
 from understudy.trees.core.observations import Evaluation
 from understudy.trees.core.task_activity import TaskActive, task_timing
 
@@ -21,6 +22,9 @@ STATUS: dict[State, Status] = {"Healthy": Status.SUCCESS, "Starting": Status.RUN
 
 STATE: dict[Status, State] = {status: state for state, status in STATUS.items()}
 """The state of each py_trees status."""
+
+LONGEST_REASON = 1024
+"""Most characters of a reason, without that of the leaf's task."""
 
 
 @dataclass(frozen=True)
@@ -78,10 +82,13 @@ class Leaf(Behaviour, ABC):
 
     def reason(self, state: State) -> str:
         """Return in plain words why the leaf is in this state. The text is the same for as long as nothing changes."""
+        reason = one_line(
+            self._plain_reason(state), LONGEST_REASON
+        )  # it may quote a message of the robot, in which anything can be
         if self.tasks and state == "Failed":
             actions = " and of ".join(dict.fromkeys(task.action for task in self.tasks))
-            return f"{self._plain_reason(state)} while a goal of {actions} is active"
-        return self._plain_reason(state)
+            return f"{reason} while a goal of {actions} is active"
+        return reason
 
     def remember(self) -> None:
         """Note that the instance has been healthy by this leaf."""

@@ -20,7 +20,7 @@ from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import ApiError, Client, Object
 from understudy.kube.events import Recorder
 from understudy.monitor.act.recovery.recovery_messages import describe_switchover
-from understudy.monitor.notices import GateCommitted, Notices, PublishedStatus
+from understudy.monitor.notices import ConditionChanged, GateCommitted, Notices, PublishedStatus
 from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.wakeups import Wakeups
 from understudy.monitor.report import monitor_metrics, status_writer
@@ -453,3 +453,12 @@ def test_a_new_monitor_knows_at_which_epoch_the_active_instance_had_driven(
 ) -> None:
     gate = {"epoch": 3, "active": status.get("active", "")}
     assert PublishedStatus.adopt({"status": {**status, "gate": gate}}).driven_epoch == epoch
+
+
+async def test_a_condition_that_quotes_control_characters_is_written_once() -> None:
+    """Its message is not the given one, so that each evaluation would count as a change."""
+    found = RecordedNotices()
+    for _ in range(3):
+        found.condition("Healthy", "False", "Failed", "amcl says ERROR: \x1b[2J\nlost")
+    assert found.status.find("Healthy").message == r"amcl says ERROR: \x1b[2J lost"  # type: ignore[union-attr]
+    assert len([one for one in found.log if isinstance(one, ConditionChanged)]) == 1

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from understudy.api import names
+from understudy.api.base import reported
 from understudy.api.conditions import now as moment
 from understudy.api.kinds.switchover_spec import ENDED, Drain, Kind, Phase, Request, SwitchoverStatus, parse
 from understudy.clock import CLOCK
@@ -391,7 +392,7 @@ class PlannedSwitchovers:
         _logger.info("switchover (%s): %s", wanted.kind, message)
         known = self._notices.status.switchover
         self._report(wanted.kind, wanted.request, phase, message)
-        if known is None or known.message != message:
+        if known is None or known.message != reported(message):
             kind, reason = ("Normal", "SwitchoverDone") if phase == "Done" else ("Warning", "SwitchoverNotDone")
             self._notices.event(kind, reason, message)
 
