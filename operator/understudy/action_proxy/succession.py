@@ -16,6 +16,7 @@ import asyncio
 import contextlib
 import json
 import logging
+import math
 import secrets
 import time
 from collections import Counter
@@ -39,6 +40,9 @@ learn the new epoch at different times."""
 
 GONE_AFTER = 5.0
 """Seconds without an announcement of a proxy that replaces it after which a replaced proxy serves again."""
+
+LONGEST = 512
+"""Most characters of an announcement; so few cannot be nested too deeply for Python."""
 
 OLD = 1e7
 """The age in seconds of a pod whose node has booted since. Such a pod is rather the one that was replaced."""
@@ -73,8 +77,9 @@ class Announcement:
     @classmethod
     def from_wire(cls, text: str) -> Announcement:
         """Read the JSON. Raises ValueError if it is invalid."""
-        match json.loads(text):
-            case [str(workload), int(number), float(age), str(pod)]:
+        # Any participant of the DDS domain can send it.
+        match json.loads(text) if len(text) <= LONGEST else None:
+            case [str(workload), int(number), float(age), str(pod)] if math.isfinite(age):
                 return cls(GateEpoch(workload, number), age, pod)
         raise ValueError(f"not an announcement of an action proxy: {text[:80]}")
 
@@ -98,9 +103,11 @@ class Succession:
         if other.pod == self._pod:
             return
         is_greater = other.replaces(self.own(other.gate if gate is None else gate, now))
-        self._greater[other.pod] = self._greater[other.pod] + 1 if is_greater else 0
         if is_greater:
+            self._greater[other.pod] += 1
             self._heard = now
+        else:
+            del self._greater[other.pod]  # a Counter has no error for those that it does not contain
 
     @property
     def is_replaced(self) -> bool:

@@ -30,10 +30,32 @@ def test_exactly_one_of_two_proxies_replaces_the_other(one: Announcement, other:
     assert Announcement.from_wire(one.to_wire()) == one
 
 
-@pytest.mark.parametrize("text", ["", "[]", '["uid", 1, "2", "pod"]', '{"epoch": 1}', "[1, 2.0]"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]",
+        '["uid", 1, "2", "pod"]',
+        '{"epoch": 1}',
+        "[1, 2.0]",
+        '["uid", 1, NaN, "pod"]',
+        '["uid", 1, 1e400, "pod"]',
+        pytest.param(f'["uid", {"9" * 5000}, 2.0, "pod"]', id="5000 digits"),
+        pytest.param("[" * 100_000, id="100000 brackets"),
+        pytest.param(f'["uid", 1, 2.0, "{"x" * 5000}"]', id="5000 characters"),
+    ],
+)
 def test_an_invalid_announcement_is_an_error(text: str) -> None:
     with pytest.raises(ValueError, match=r"announcement|Expecting"):
         Announcement.from_wire(text)
+
+
+def test_proxies_that_do_not_replace_this_one_are_not_remembered(tmp_path: Path) -> None:
+    """Any participant of the DDS domain may announce as many as it likes."""
+    proxy = Succession(tmp_path, 0.0, "boot")
+    for number in range(100):
+        proxy.hear(Announcement(gate(4), 100.0, f"pod-{number}"), gate(5), 1.0)
+    assert not proxy._greater
 
 
 def test_a_proxy_is_replaced_after_several_announcements_in_a_row(tmp_path: Path) -> None:
