@@ -49,7 +49,7 @@ def _known(name: str, form: str, tree: str, within: float) -> BringUp:
     try:
         found = compose(form, json.loads(tree), check=False, path=name)
     except TreeError as error:
-        return BringUp(name, {}, within, _digest(tree), False, problem=str(error))
+        return BringUp(name, {}, within, _digest(tree), False, problem=error.in_short())
     digest = _digest(json.dumps(found.node, sort_keys=True))
     return BringUp(name, found.node, within, digest, found.tree.restores_state, found.places)
 

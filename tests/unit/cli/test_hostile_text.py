@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import io
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from tests.support import fleet
 from tests.support.fake_kubectl import FakeKubectl
 from understudy import main as command
 from understudy.api.kinds.switchover_spec import SwitchoverStatus
+from understudy.cli.common.cluster_access.kubectl import Kubectl
 from understudy.cli.common.cluster_access.pod_session import session
 from understudy.cli.common.errors import CommandError, reports_errors
 from understudy.cli.common.text import terminal
@@ -32,6 +34,10 @@ class Terminal(io.StringIO):
     def isatty(self) -> bool:
         """Return that it is a terminal."""
         return True
+
+
+def kubectl() -> Kubectl:
+    return Kubectl(argparse.Namespace(namespace="fleet", context=None, kubeconfig=None))
 
 
 def harmless(text: str) -> bool:
@@ -124,12 +130,10 @@ def test_the_error_of_a_session_is_escaped(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stand.begin_with(f"sys.stderr.write({HOSTILE!r}); sys.exit(1)")
-    from understudy.cli.common.cluster_access.kubectl import Kubectl
 
     @reports_errors("doctor")
     def verb(arguments: list[str]) -> int:
-        kubectl = Kubectl(types.SimpleNamespace(namespace="fleet", context=None, kubeconfig=None))  # type: ignore[arg-type]
-        with session(kubectl, "pod", "container", "program") as found:
+        with session(kubectl(), "pod", "container", "program") as found:
             found.ask("anything")
         return 0
 
@@ -190,3 +194,50 @@ def test_a_screen_is_drawn_with_escaped_lines(monkeypatch: pytest.MonkeyPatch) -
     assert "\x1b[1;31mok\x1b[0m" in drawn
     assert "\x1b[2J" not in drawn
     assert r"one\ntwo" in drawn, "a text cannot add a row"
+
+
+@pytest.mark.parametrize("verb", ["status", "explain", "timeline", "pause", "resume"])
+def test_a_deeply_nested_object_does_not_end_a_verb(
+    verb: str, stand: FakeKubectl, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The API server stores up to 10,000 levels, and Python's decoder ends at a few hundred."""
+    item = fleet.well()
+    item["spec"]["template"] = "DEEP"
+    stand.begin_with(
+        "import io\n"
+        "class Deep(io.StringIO):\n"
+        "    def write(self, text):\n"
+        "        deep = '{\"a\":' * 5000 + '1' + '}' * 5000\n"
+        "        return sys.__stdout__.write(text.replace('\"DEEP\"', deep))\n"
+        "sys.stdout = Deep()"
+    )
+    stand.tell([item])
+    name = [] if verb == "status" else [ROBOT]
+    more = ["--reason", "a"] if verb == "pause" else []
+    assert run(monkeypatch, verb, *name, *more, "-n", "fleet") in (0, 1)
+    assert "Traceback" not in capsys.readouterr().err
+
+
+INVALID = ("not JSON", "[" * 100_000, "9" * 5000, "{}", "[]", '{"answer')
+
+
+@pytest.mark.parametrize("answer", INVALID, ids=["text", "brackets", "digits", "empty", "list", "cut"])
+def test_an_invalid_answer_of_a_pod_is_an_error(answer: str, stand: FakeKubectl) -> None:
+    """The program runs in a container of somebody else's image."""
+    stand.begin_with(f"print({answer!r}, flush=True); time.sleep(1); sys.exit(0)")
+    with (
+        session(kubectl(), "pod", "container", "program") as found,
+        pytest.raises(CommandError, match="pod pod gave an answer that cannot be read"),
+    ):
+        found.ask("anything")
+
+
+@pytest.mark.parametrize(
+    "report", ["not JSON", "[" * 100_000, "9" * 5000, "[]"], ids=["text", "brackets", "digits", "list"]
+)
+def test_an_invalid_report_of_a_container_is_an_error(report: str) -> None:
+    with (
+        subprocess.Popen([sys.executable, "-c", f"print({report!r})"], stdout=subprocess.PIPE) as running,
+        pytest.raises(CommandError, match="pod pod was not cut off"),
+    ):
+        partition._next_report("pod", running, 20.0)

@@ -7,7 +7,6 @@ applies to all containers of the pod, and none of them needs a tool or a permiss
 from __future__ import annotations
 
 import ipaddress
-import json
 import select
 import subprocess
 import time
@@ -25,6 +24,7 @@ from understudy.cli.inject import network_cut
 from understudy.controller.desired import monitor_deployment
 from understudy.controller.observed import kube_objects
 from understudy.kube.client import PODS, STRATEGIC, Object
+from understudy.kube.decoding import decode
 
 MONITOR = "monitor"
 """Stands for the addresses of the workload's monitor."""
@@ -219,7 +219,9 @@ def _next_report(pod: str, running: subprocess.Popen[bytes], within: float) -> d
     if not line or line.startswith(_NO_LOG):
         return None
     try:
-        found: dict[str, Any] = json.loads(line)
+        found = decode(line)
     except ValueError as error:
         raise CommandError(_not_cut_off(pod, line)) from error
+    if not isinstance(found, dict):
+        raise CommandError(_not_cut_off(pod, line))
     return found

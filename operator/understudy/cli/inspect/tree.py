@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import http.client
-import json
 import sys
 import time
 from collections.abc import Sequence
@@ -19,6 +18,7 @@ from understudy.cli.common.option_rules import add_output
 from understudy.cli.common.text import terminal
 from understudy.cli.common.text.tree_text import Rates, lines
 from understudy.controller.observed import kube_objects
+from understudy.kube.decoding import decode
 
 HEALTHY, NOT_HEALTHY = 0, 1
 """Exit statuses besides ERROR."""
@@ -72,7 +72,7 @@ def fetch_json(port: int, path: str = "/tree", *, what: str = "a live tree") -> 
             raise CommandError(
                 f"the monitor's version does not support {what}; upgrade the operator, which replaces the monitor"
             )
-        found: dict[str, Any] = json.loads(text)
+        found: dict[str, Any] = decode(text)
         return found
     except (OSError, http.client.HTTPException, ValueError) as error:
         raise CommandError(f"the monitor does not answer: {error}") from error

@@ -10,6 +10,7 @@ import pytest
 
 from tests.unit.cli.report import fleet
 from tests.unit.cli.report.fleet import DAY
+from understudy.api.plain_text import plain
 from understudy.cli.report.csv_sheets import sheets
 from understudy.cli.report.recovery_records import findings
 
@@ -47,6 +48,6 @@ def test_the_csv_files_list_robots_and_strategies() -> None:
 
 def test_no_text_is_interpreted_as_a_formula() -> None:
     data = sheets(findings([fleet.hostile()], DAY))
-    assert rows(data["recoveries.csv"])[0]["reason"] == f"'{fleet.HOSTILE}"
+    assert rows(data["recoveries.csv"])[0]["reason"] == f"'{plain(fleet.HOSTILE)}"
     for text in data.values():
         assert not any(cell.startswith(("=", "+", "-", "@")) for row in csv.reader(io.StringIO(text)) for cell in row)

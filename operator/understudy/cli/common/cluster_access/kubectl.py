@@ -17,6 +17,7 @@ from typing import Any
 from understudy.cli.common import shell_completion
 from understudy.cli.common.cluster_access.kubectl_watch import Watch, waiting
 from understudy.cli.common.errors import CommandError, Forbidden
+from understudy.kube.decoding import decode
 
 TIMEOUT = 15.0
 """Seconds within which the API server must answer, and a port forwarding must start."""
@@ -98,13 +99,13 @@ class Kubectl:
     def namespace(self) -> str:
         """The given namespace, or that of the context. Raises CommandError with kubectl's message."""
         if not self._namespace_option:
-            contexts = json.loads(self._run("config", "view", "--minify", "-o", "json")).get("contexts") or [{}]
+            contexts = decode(self._run("config", "view", "--minify", "-o", "json")).get("contexts") or [{}]
             self._namespace_option = (contexts[0].get("context") or {}).get("namespace") or "default"
         return self._namespace_option
 
     def contexts(self) -> list[str]:
         """Return the names of the kubeconfig's contexts. Raises CommandError with kubectl's message."""
-        return [one["name"] for one in json.loads(self._run("config", "view", "-o", "json")).get("contexts") or []]
+        return [one["name"] for one in decode(self._run("config", "view", "-o", "json")).get("contexts") or []]
 
     def names(self, kind: str) -> list[str]:
         """Return the names of the objects of a kind. Raises CommandError with kubectl's message."""
@@ -116,16 +117,16 @@ class Kubectl:
 
     def get(self, kind: str, *arguments: str) -> Any:
         """Return an object, or a list of objects. Raises CommandError with kubectl's message."""
-        return json.loads(self._got(kind, *arguments))
+        return decode(self._got(kind, *arguments))
 
     def find(self, kind: str, name: str, *arguments: str) -> Any:
         """Return an object, or None if it does not exist; for several names, a list of those that exist. Raises CommandError."""
         text = self._got(kind, name, *arguments, "--ignore-not-found")
-        return json.loads(text) if text.strip() else None
+        return decode(text) if text.strip() else None
 
     def patch(self, kind: str, name: str, body: Any) -> Any:
         """Change an object by a merge patch and return the result. Raises CommandError with kubectl's message."""
-        return json.loads(self._run("patch", kind, name, "--type=merge", "-p", json.dumps(body), "-o", "json"))
+        return decode(self._run("patch", kind, name, "--type=merge", "-p", json.dumps(body), "-o", "json"))
 
     def annotate(self, kind: str, name: str, note: str, value: str) -> None:
         """Set an annotation of an object. Raises CommandError with kubectl's message."""

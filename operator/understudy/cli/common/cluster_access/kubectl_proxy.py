@@ -17,6 +17,7 @@ from typing import Any
 from understudy.cli.common.cluster_access.kubectl import TIMEOUT, Kubectl, explain_failure
 from understudy.cli.common.errors import CommandError
 from understudy.kube.client import Object
+from understudy.kube.decoding import decode
 
 
 class Refused(CommandError):
@@ -66,7 +67,7 @@ class Api:
             connection.close()
         answered = time.time()
         try:
-            found = json.loads(text)
+            found = decode(text)
         except ValueError:
             found = {"message": text.decode(errors="replace").strip()[:300]}
         if response.status >= 300:

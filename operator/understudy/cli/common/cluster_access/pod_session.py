@@ -11,6 +11,7 @@ from typing import Any
 
 from understudy.cli.common.cluster_access.kubectl import Kubectl
 from understudy.cli.common.errors import CommandError
+from understudy.kube.decoding import decode
 
 PATIENCE = 30.0
 """Seconds that an answer may take in addition to the expected time."""
@@ -35,10 +36,13 @@ class Session:
         line = source.readline()
         if not line:
             raise CommandError(f"the program in pod {self._pod} ended: {self._last_words()}")
-        answer = json.loads(line)
-        if "error" in answer:
-            raise CommandError(f"pod {self._pod}: {answer['error']}")
-        return answer["answer"]
+        try:
+            answer = decode(line)
+            if "error" not in answer:
+                return answer["answer"]
+        except (ValueError, LookupError, TypeError) as error:
+            raise CommandError(f"pod {self._pod} gave an answer that cannot be read: {line[:60]!r}") from error
+        raise CommandError(f"pod {self._pod}: {answer['error']}")
 
     def _last_words(self) -> str:
         assert self._running.stderr is not None, "it is a pipe"

@@ -38,7 +38,7 @@ def unloadable(*procedures: tuple[str, Procedure | None]) -> str | None:
             try:
                 composed(procedure, path=name)
             except TreeError as error:
-                return str(error)
+                return error.in_short()
     return None
 
 
