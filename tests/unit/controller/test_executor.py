@@ -8,10 +8,10 @@ import pytest
 from tests.support.golden import assert_golden
 from tests.unit.kube.memory import ApplyingClient, MemoryClient
 from understudy.api import names
-from understudy.controller.plan import Apply, Create
+from understudy.controller.plan import Apply, Create, Patch
 from understudy.controller.reconcile.change_index import Key
 from understudy.controller.reconcile.contention import AT_ONCE
-from understudy.controller.reconcile.executor import Executor
+from understudy.controller.reconcile.executor import Executor, Stale
 from understudy.controller.reconcile.expectations import Expectations
 from understudy.controller.reconcile.object_store import Store
 from understudy.kube.client import (
@@ -24,6 +24,8 @@ from understudy.kube.client import (
     Object,
     Resource,
 )
+from understudy.kube.gates.base import GateRecord
+from understudy.kube.gates.kinds.network_policy import GATE
 
 KEY = Key(WORKLOADS.plural, "fleet", "w")
 
@@ -60,6 +62,18 @@ async def test_an_object_of_another_owner_is_not_changed() -> None:
     (problem,) = await executor(client, store).run(KEY, [Apply(CONFIG_MAPS, config_map("workload"))])
     assert problem.reason == "NameTaken"
     assert [method for method, _, _ in client.requests] == ["GET"]
+
+
+async def test_a_repair_of_a_gate_does_not_undo_a_commit_that_came_first() -> None:
+    client = MemoryClient()
+    gate = client.store(NETWORK_POLICIES, "fleet", GATE.closed("w", epoch=3))
+    commit = GATE.commitment("w", over=GateRecord.of(gate), active="w-a", active_uid="uid-a")
+    await GATE.write(client, "fleet", "w", commit)
+    repair = GATE.routing("w", "")
+    with pytest.raises(Stale):
+        await executor(client, Store()).run(KEY, [Patch(NETWORK_POLICIES, gate, repair)])
+    live = await client.get(NETWORK_POLICIES, "fleet", "w-gate")
+    assert GATE.let_through(live) == ("w-a",)
 
 
 async def test_a_template_that_cannot_be_applied_is_reported_and_other_objects_are_still_applied() -> None:

@@ -78,6 +78,14 @@ def test_a_claimed_pod_is_replaced_after_it_drives_or_after_a_waiting_time(ago: 
         assert 0 < found.again_after <= pool_pods.FIRST_THE_CLAIMED
 
 
+@pytest.mark.parametrize("time", ["²", "9" * 5000, "soon"], ids=["digit", "long", "word"])
+def test_a_pod_whose_claim_has_no_time_is_replaced_at_once(time: str) -> None:
+    pool = spare(replicas=1)
+    claimed = claimed_pod("robot-1-claimed", of=pool, by=workload())
+    claimed["metadata"].setdefault("annotations", {})[names.CLAIMED_AT] = time
+    assert len(created(plan(observe(pool, [claimed])), "pods")) == 1
+
+
 def claimed_ago(pool: Object, name: str, ago: float) -> Object:
     claimed = claimed_pod(name, of=pool, by=workload())
     claimed["metadata"].setdefault("annotations", {})[names.CLAIMED_AT] = str(int(NOW - ago))

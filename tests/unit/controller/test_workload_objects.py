@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 
+import pytest
+
 from tests.support.golden import assert_golden
 from tests.unit.controller.world import (
     IMAGES,
@@ -133,6 +135,27 @@ class TestGate:
         assert patch["spec"] == {"policyTypes": ["Egress"], "egress": [{}], "ingress": None}
         assert "podSelector" not in patch["spec"]
         assert set(patch["metadata"]) == {"labels"}
+
+    @pytest.mark.parametrize("pause", [None, {"reason": "work", "owner": "somebody"}], ids=["watched", "paused"])
+    @pytest.mark.parametrize(
+        "selector", [{}, {"matchLabels": {names.WORKLOAD: "w"}}], ids=["every-pod", "every-instance"]
+    )
+    def test_a_gate_that_does_not_name_its_instances_is_restored_from_its_record(
+        self, selector: Object, pause: Object | None
+    ) -> None:
+        world = World(workload(**({"pause": pause} if pause else {})), policy("Restart"))
+        active = source_pod("w-a")
+        broken = gate(world.workload, active=active, epoch=41)
+        broken["spec"]["podSelector"] = selector
+        world.own(broken)
+        assert patched(world.plan(), "networkpolicies")["w-gate"] == {
+            "spec": {
+                "podSelector": {
+                    "matchLabels": {names.WORKLOAD: "w", names.INSTANCE: "w-a"},
+                    "matchExpressions": None,
+                }
+            }
+        }
 
     def test_a_recreated_gate_continues_at_the_epoch_of_the_status(self) -> None:
         world = World(workload(status={"gate": {"epoch": 41, "active": "w-a"}}), policy("Restart"))

@@ -158,6 +158,74 @@ def test_the_policy_of_the_gate_allows_all_that_the_selected_pod_sends() -> None
     assert (spec["policyTypes"], spec["egress"]) == (["Egress"], [{}])
 
 
+SELECTORS: dict[str, Object] = {
+    "empty": {},
+    "every-instance": {"matchLabels": {names.WORKLOAD: "w"}},
+    "another-workload": {"matchLabels": {names.WORKLOAD: "v", names.INSTANCE: "a"}},
+    "another-label": {"matchLabels": {names.WORKLOAD: "w", names.INSTANCE: "a", "app": "nav"}},
+    "not-in": {"matchLabels": {names.WORKLOAD: "w"}, "matchExpressions": [{"key": names.INSTANCE, "operator": "NotIn", "values": ["a"]}]},
+    "exists": {"matchLabels": {names.WORKLOAD: "w"}, "matchExpressions": [{"key": names.INSTANCE, "operator": "Exists"}]},
+    "three": {
+        "matchLabels": {names.WORKLOAD: "w"},
+        "matchExpressions": [{"key": names.INSTANCE, "operator": "In", "values": ["a", "b", "c"]}],
+    },
+    "without-the-workload": {"matchExpressions": [{"key": names.INSTANCE, "operator": "In", "values": ["a", "b"]}]},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("selector", SELECTORS.values(), ids=SELECTORS)
+@pytest.mark.parametrize(("active", "admitted"), [("", ""), ("a", ""), ("a", "b")], ids=["closed", "one", "two"])
+async def test_a_selector_that_no_commit_writes_is_restored_from_the_record(
+    active: str, admitted: str, selector: Object
+) -> None:
+    gate = Opened(GATE)
+    await gate.create()
+    before = await gate.commit(active)
+    if admitted:
+        before = await gate.admit(admitted)
+    edited = {**before, "spec": {**before["spec"], "podSelector": selector, "egress": []}}
+    patch = GATE.repair(edited, owner=OWNER, labels={})
+    assert patch is not None
+    gate.client.store(GATE.resource, "fleet", edited)
+    repaired = await gate.write(patch)
+    assert repaired["spec"] == before["spec"]
+    assert repaired["metadata"]["annotations"] == before["metadata"]["annotations"]
+    assert GATE.repair(repaired, owner=OWNER, labels={}) is None
+    assert GATE.let_through(repaired) == tuple(name for name in (active, admitted) if name)
+
+
+async def test_whom_a_gate_names_is_left_to_the_monitor() -> None:
+    gate = Opened(GATE)
+    await gate.create()
+    committed = await gate.commit("a")
+    for selector in (
+        GATE.routing("w", one, two)["spec"]["podSelector"] for one, two in (("", ""), ("b", ""), ("a", "b"))
+    ):
+        labels = {key: value for key, value in selector["matchLabels"].items() if value}
+        edited = {**committed, "spec": {**committed["spec"], "podSelector": {**selector, "matchLabels": labels}}}
+        assert not GATE.malformed(edited, "w")
+        assert "spec" not in (GATE.repair(edited, owner=OWNER, labels={}) or {})
+
+
+def test_a_record_that_names_a_standby_and_nobody_in_control_lets_nobody_through() -> None:
+    gate = GATE.closed("w", epoch=3)
+    gate["metadata"] |= {"resourceVersion": "1"}
+    gate["metadata"]["annotations"] |= {names.ADMITTED: "b", names.ADMITTED_UID: "uid-b"}
+    gate["spec"]["podSelector"] = {}
+    patch = GATE.repair(gate, owner=OWNER, labels={})
+    assert patch is not None
+    assert patch["spec"]["podSelector"]["matchLabels"] == {names.WORKLOAD: "w", names.INSTANCE: names.GATE_CLOSED}
+
+
+@pytest.mark.parametrize("text", ["²", "9" * 5000, "-1", "soon", ""])
+def test_an_epoch_that_is_no_number_counts_as_none(text: str) -> None:
+    gate = GATE.closed("w", epoch=3)
+    gate["metadata"] |= {"resourceVersion": "1"}
+    gate["metadata"]["annotations"] |= {names.EPOCH: text, names.FENCED: text}
+    record = GateRecord.of(gate)
+    assert (record.epoch, record.fenced) == (0, 0)
+
+
 @pytest.mark.parametrize("wrong", [{"egress": []}, {"policyTypes": ["Ingress"]}, {"ingress": [{}]}])
 def test_rules_that_somebody_changed_are_restored(wrong: Object) -> None:
     gate = GATE.closed("w", epoch=0)

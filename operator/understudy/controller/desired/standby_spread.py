@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from understudy.api import names
+from understudy.api.whole_numbers import whole_number
 from understudy.controller.observed import kube_objects, leaving_nodes, pod_diagnosis
 from understudy.controller.observed.observation import Observed
 from understudy.controller.pods import pod_counts, pod_placement
@@ -83,5 +84,5 @@ def _of_pool(pod: Object) -> bool:
 
 
 def _tried(pod: Object) -> float:
-    text = kube_objects.notes(pod).get(names.NOT_MOVED, "")
-    return float(text) if text.isdigit() else float("-inf")
+    time = whole_number(kube_objects.notes(pod).get(names.NOT_MOVED, ""))
+    return float(time) if time is not None else float("-inf")

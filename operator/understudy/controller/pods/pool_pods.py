@@ -9,6 +9,7 @@ from typing import Any
 
 from understudy.api import names
 from understudy.api.kinds.fallback_pool import FallbackPoolSpec
+from understudy.api.whole_numbers import whole_number
 from understudy.controller.observed import kube_objects, leaving_nodes, ownership, pool_reader
 from understudy.controller.plan import Apply, Create, Delete, Images, Plan, Problem
 from understudy.controller.pods import claim_tokens, instance_pod, pod_counts, pool_evictions, pool_size
@@ -269,9 +270,9 @@ def _until_driving(observed: Observed) -> list[float]:
     if observed.waiting:
         return []
     waits = [
-        float(claimed) + FIRST_THE_CLAIMED - observed.now
+        claimed + FIRST_THE_CLAIMED - observed.now
         for pod in observed.pods
-        if (claimed := kube_objects.notes(pod).get(names.CLAIMED_AT, "")).isdigit()
+        if (claimed := whole_number(kube_objects.notes(pod).get(names.CLAIMED_AT, ""))) is not None
         and kube_objects.alive(pod)
         and kube_objects.uid(pod) not in observed.active
     ]

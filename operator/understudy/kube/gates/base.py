@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
 from understudy.api import names
+from understudy.api.whole_numbers import whole_number
 from understudy.kube.client import Client, Object, Resource
 
 
@@ -49,7 +50,7 @@ class GateRecord:
         """Read the record of a gate object."""
         annotations = gate["metadata"].get("annotations") or {}
         return cls(
-            epoch=_number(annotations.get(names.EPOCH, "")),
+            epoch=whole_number(annotations.get(names.EPOCH, "")) or 0,
             active=annotations.get(names.ACTIVE, ""),
             active_uid=annotations.get(names.ACTIVE_UID, ""),
             recovery=annotations.get(names.RECOVERY, ""),
@@ -57,13 +58,8 @@ class GateRecord:
             admitted=annotations.get(names.ADMITTED, ""),
             admitted_uid=annotations.get(names.ADMITTED_UID, ""),
             let_through=annotations.get(names.LET_THROUGH, ""),
-            fenced=_number(annotations.get(names.FENCED, "")),
+            fenced=whole_number(annotations.get(names.FENCED, "")) or 0,
         )
-
-
-def _number(text: str) -> int:
-    """Return a number that an annotation holds; 0 if it holds none."""
-    return int(text) if text.isdigit() else 0
 
 
 class Proof(Protocol):
@@ -149,8 +145,15 @@ class GateKind(ABC):
     # -- The same for every kind ----------------------------------------------------------------------------------------
 
     def repair(self, gate: Object, *, owner: Object, labels: Mapping[str, str]) -> Object | None:
-        """Return a merge patch that restores a gate object; None if nothing differs. Routing and record belong to the monitor."""
-        metadata, patch = gate["metadata"], self.spec_repair(gate)
+        """Return a merge patch that restores a gate object; None if nothing differs.
+
+        Routing and record belong to the monitor. But a routing that no commit writes is restored from the record, because it may let any
+        pod of the namespace through. ``owner`` is the RobotWorkload. The patch is valid for this version of the gate object only.
+        """
+        metadata, patch, workload = gate["metadata"], self.spec_repair(gate), owner["name"]
+        if self.malformed(gate, workload):
+            record = GateRecord.of(gate)
+            patch = _merged(patch, self.routing_repair(gate, workload, record.active, record.admitted))
         fields: Object = {}
         present = metadata.get("labels") or {}
         if missing := {key: value for key, value in labels.items() if present.get(key) != value}:
@@ -159,6 +162,14 @@ class GateKind(ABC):
         if owner not in owners:
             fields["ownerReferences"] = [*(one for one in owners if one.get("uid") != owner["uid"]), owner]
         return (patch | ({"metadata": fields} if fields else {})) or None
+
+    def malformed(self, gate: Object, workload: str) -> bool:
+        """Whether a gate object has a routing that no commit writes, whichever instances it names.
+
+        It may let through more than one pod in control and one standby, or pods that it does not name.
+        """
+        through = self.let_through(gate) or ("",)
+        return len(through) > 2 or bool(self.routing_repair(gate, workload, *through))
 
     def monitor_rules(self, workload: str) -> list[Object]:
         """Return the RBAC rules that let a monitor read and commit its workload's gate, and no other."""
@@ -251,3 +262,9 @@ class GateKind(ABC):
     async def write(self, client: Client, namespace: str, workload: str, patch: Object) -> Object:
         """Write one of these patches and return the new gate object. Raises ApiError, with status 409 if another write came first."""
         return await client.patch(self.resource, namespace, names.gate(workload), patch)
+
+
+def _merged(patch: Object, other: Object) -> Object:
+    """Return a merge patch that has the fields of both."""
+    both = {key: _merged(patch[key], other[key]) for key in patch.keys() & other.keys() if isinstance(patch[key], dict)}
+    return {**patch, **other, **both}

@@ -35,7 +35,7 @@ class NetworkPolicyGate(GateKind):
 
     def routing(self, workload: str, active: str, admitted: str = "") -> Object:
         """Return merge patch fields of the pod selector. Each of its two forms removes the other."""
-        if admitted:
+        if active and admitted:
             among = {"key": names.INSTANCE, "operator": "In", "values": [active, admitted]}
             labels = {names.WORKLOAD: workload, names.INSTANCE: None}
             return {"spec": {"podSelector": {"matchLabels": labels, "matchExpressions": [among]}}}
