@@ -5,18 +5,20 @@ from __future__ import annotations
 import os
 import subprocess
 import uuid
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
+from tests.cluster import monitor_accounts
 from tests.cluster.operators import APPS, CORE, Fleet, Operator
 from tests.cluster.policy_pods import World, table
-from tests.support.cluster import Cluster, Object, until
+from tests.support.cluster import Cluster, Object, Refused, until
 from tests.support.sharing import shared
 from understudy.api.base import GROUP
 from understudy.api.schema.printed_kinds import KINDS
+from understudy.kube.client import Client
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 NAME = "understudy"
@@ -141,6 +143,35 @@ def alone(cluster: Cluster, release: Release) -> Iterator[None]:
     )
     yield
     cluster.patch(installed, {"spec": {"replicas": replicas}}, subresource="scale")
+
+
+@pytest.fixture
+def gate(cluster: Cluster, release: Release, namespace: str) -> Object:
+    """A gate, which is open for one instance."""
+    return cluster.create(monitor_accounts.gate(), namespace)
+
+
+@pytest.fixture
+def compromised_monitor(cluster: Cluster, namespace: str, gate: Object) -> str:
+    """The user name of the monitor of that gate, once the API server applies its rights and the admission policies."""
+    user = monitor_accounts.create(cluster, namespace, monitor_accounts.MINE)
+
+    def effective() -> bool:
+        try:
+            cluster.patch(gate, {"metadata": {"labels": {"effective": "no"}}}, user=user, dry_run=True)
+        except Refused as error:
+            return "of its gate only" in error.message
+        return False
+
+    until(effective, "the admission policy of gates to be enforced")
+    return user
+
+
+@pytest.fixture
+async def correct_monitor(cluster: Cluster, namespace: str, compromised_monitor: str) -> AsyncIterator[Client]:
+    """The API client of the same monitor, with a token of its account."""
+    async with Client(monitor_accounts.access(cluster, namespace, monitor_accounts.MINE)) as client:
+        yield client
 
 
 @pytest.fixture

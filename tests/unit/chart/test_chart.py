@@ -6,6 +6,7 @@ The suites in charts/understudy/tests check what the templates render from value
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 
 import pytest
@@ -14,6 +15,8 @@ import yaml
 from tests.unit.chart.conftest import CHART, Object, Render, one
 from understudy.api import names
 from understudy.api.schema.definitions import definitions
+from understudy.kube.gates.base import GateRecord
+from understudy.kube.gates.kinds.network_policy import GATE
 
 
 @pytest.mark.parametrize(
@@ -57,8 +60,35 @@ def test_the_admission_policy_uses_the_names_of_the_code(render: Render) -> None
     assert f"endsWith('{names.MONITOR_ACCOUNT_ENDING}')" in text.replace("''", "'")
     for label in (names.WORKLOAD, names.INSTANCE, names.HELD):
         assert f"labels[?'{label}']" in text.replace("''", "'")
+    for annotation in (names.CLAIM, names.CLAIMED_AT):
+        assert f"'{annotation}'" in text.replace("''", "'")
     assert f"c.name == '{names.AGENT_CONTAINER}'" in text.replace("''", "'")
     assert f"e.name == '{names.WORKLOAD_VARIABLE}'" in text.replace("''", "'")
+
+
+def test_the_policy_of_gates_allows_the_record_that_the_code_writes(render: Render) -> None:
+    policy = one(render(), "ValidatingAdmissionPolicy", "understudy-gates")
+    text = " ".join(yaml.safe_dump(policy, width=10_000).replace("''", "'").split())
+    assert f"endsWith('{names.MONITOR_ACCOUNT_ENDING}')" in text
+    record = GateRecord(epoch=3, active="w-a", active_uid="uid-a", recovery="", version="1")
+    patches = [
+        GATE.commitment("w", over=record, active="w-a", let_through="[]", waits_for="spare"),
+        GATE.commitment("w", over=record, fenced=2),
+        GATE.admission("w", over=record, admitted="w-b", admitted_uid="uid-b", let_through="[]"),
+        GATE.ending(over=record, recovery="{}"),
+        GATE.overtaking(over=record, recovery="r"),
+    ]
+    annotations = {key for patch in patches for key in patch["metadata"]["annotations"]}
+    (listed,) = re.findall(
+        r"key in \[(.*?)\]", next(v["expression"] for v in policy["spec"]["variables"] if v["name"] == "annotated")
+    )
+    assert set(listed.replace("'", "").split(", ")) == annotations
+    assert {key for patch in patches for key in patch["metadata"].get("labels", ())} == {names.WAITS_FOR}
+    assert f"key != '{names.WAITS_FOR}'" in text
+    assert f"variables.workload + '{names.gate('')}'" in text
+    assert f"'' ? '{names.GATE_CLOSED}' : variables.active" in text
+    for key in (names.WORKLOAD, names.INSTANCE, names.EPOCH, names.ACTIVE, names.ADMITTED, names.FENCED):
+        assert f"'{key}'" in text
 
 
 def test_the_policy_of_labels_uses_the_names_of_the_code(render: Render) -> None:
