@@ -97,6 +97,13 @@ def test_the_policy_of_labels_uses_the_names_of_the_code(render: Render) -> None
     assert f"endsWith('{names.MONITOR_ACCOUNT_ENDING}')" in text.replace("''", "'")
 
 
+def test_the_policy_of_new_pods_names_the_labels_that_the_code_selects_by(render: Render) -> None:
+    policy = one(render(), "ValidatingAdmissionPolicy", "understudy-new-pods")
+    text = " ".join(yaml.safe_dump(policy, width=10_000).replace("''", "'").split())
+    listed = ", ".join(f"'{label}'" for label in (names.WORKLOAD, names.INSTANCE, names.POOL, names.HELD))
+    assert text.count(f"[{listed}]") == 2
+
+
 def test_an_old_kubernetes_is_refused(helm: str) -> None:
     command = [helm, "template", "understudy", str(CHART), "--kube-version", "1.29"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)

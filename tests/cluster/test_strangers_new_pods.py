@@ -1,0 +1,142 @@
+"""Which pods count as instances: a tenant who may create pods and ReplicaSets creates none that does."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.cluster.conftest import Release
+from tests.cluster.monitor_accounts import ACTIVE, MINE, NOWHERE, OTHER, refusal
+from tests.support.cluster import Cluster, Object, Refused, account, until
+from understudy.api import names
+
+LABELS: dict[str, dict[str, str]] = {
+    "the-active-instance": {names.WORKLOAD: MINE, names.INSTANCE: ACTIVE},
+    "an-instance": {names.WORKLOAD: MINE},
+    "an-instance-of-nobody": {names.INSTANCE: ACTIVE},
+    "a-standby": {names.WORKLOAD: MINE, names.POOL: "hot", "app": "nav"},
+    "an-unclaimed-pod": {names.POOL: "spare", names.HELD: "true"},
+}
+
+
+@pytest.fixture
+def tenant(cluster: Cluster, release: Release, namespace: str) -> str:
+    """The name of a user who may create pods and ReplicaSets in the namespace."""
+    user = "tenant@example.com"
+    _allow(cluster, namespace, user)
+
+    def effective() -> bool:
+        try:
+            cluster.create(_pod("probe", LABELS["an-instance"]), namespace, user=user, dry_run=True)
+        except Refused as error:
+            return "may not create pod" in error.message
+        return False
+
+    until(effective, "the admission policy of new pods to be enforced")
+    return user
+
+
+def _allow(cluster: Cluster, namespace: str, user: str) -> None:
+    group, name = "rbac.authorization.k8s.io", f"creates-{user.split(':')[-1].split('@')[0]}"
+    role: Object = {"apiVersion": f"{group}/v1", "kind": "Role", "metadata": {"name": name}}
+    rules = [{"apiGroups": ["", "apps"], "resources": ["pods", "replicasets"], "verbs": ["create"]}]
+    cluster.create({**role, "rules": rules}, namespace)
+    subject = {"kind": "User", "name": user, "apiGroup": group}
+    reference = {"apiGroup": group, "kind": "Role", "name": name}
+    cluster.create({**role, "kind": "RoleBinding", "roleRef": reference, "subjects": [subject]}, namespace)
+
+
+def _pod(name: str, labels: dict[str, str], owner: str = "") -> Object:
+    owners = [{"apiVersion": "apps/v1", "kind": "ReplicaSet", "name": owner, "uid": "uid-r", "controller": True}]
+    metadata: Object = {"name": name, "labels": labels, "ownerReferences": owners if owner else []}
+    return {"apiVersion": "v1", "kind": "Pod", "metadata": metadata, "spec": NOWHERE}
+
+
+def _replica_set(name: str, labels: dict[str, str]) -> Object:
+    labels = {"of": name, **labels}
+    return {
+        "apiVersion": "apps/v1",
+        "kind": "ReplicaSet",
+        "metadata": {"name": name},
+        "spec": {
+            "replicas": 1,
+            "selector": {"matchLabels": {"of": name}},
+            "template": {"metadata": {"labels": labels}, "spec": NOWHERE},
+        },
+    }
+
+
+@pytest.mark.parametrize("labels", LABELS.values(), ids=LABELS)
+def test_a_tenant_creates_no_pod_that_counts_as_an_instance(
+    cluster: Cluster, namespace: str, tenant: str, labels: dict[str, str]
+) -> None:
+    for owner in ("", MINE):
+        message = refusal(lambda owner=owner: cluster.create(_pod(ACTIVE, labels, owner), namespace, user=tenant))  # type: ignore[misc]
+        assert (
+            f"{tenant} may not create pod {namespace}/{ACTIVE} with {', '.join(key for key in labels if key != 'app')}"
+            in message
+        )
+
+
+@pytest.mark.parametrize(
+    "labels",
+    [label for name, label in LABELS.items() if name != "an-instance"],
+    ids=[n for n in LABELS if n != "an-instance"],
+)
+@pytest.mark.parametrize("name", [MINE, "tenants"])
+def test_a_replica_set_of_a_tenant_creates_none_either(
+    cluster: Cluster, namespace: str, tenant: str, labels: dict[str, str], name: str
+) -> None:
+    made = cluster.create(_replica_set(name, labels), namespace, user=tenant)
+
+    def refused() -> str:
+        live = cluster.get("apps/v1", "ReplicaSet", made["metadata"]["name"], namespace)
+        conditions = (live.get("status") or {}).get("conditions") or []
+        return next((c["message"] for c in conditions if c["type"] == "ReplicaFailure"), "")
+
+    assert "may not create pod" in until(refused, "the ReplicaSet to fail")
+    assert not cluster.list("v1", "Pod", namespace)
+
+
+def test_a_replica_set_with_another_name_creates_no_instance(cluster: Cluster, namespace: str, tenant: str) -> None:
+    cluster.create(_replica_set(OTHER, LABELS["an-instance"]), namespace, user=tenant)
+    until(
+        lambda: any(
+            "may not create pod" in event["message"]
+            for event in cluster.list("v1", "Event", namespace)
+            if "message" in event
+        ),
+        "the refusal",
+    )
+    assert not cluster.list("v1", "Pod", namespace)
+
+
+def test_a_tenant_creates_other_pods(cluster: Cluster, namespace: str, tenant: str) -> None:
+    cluster.create(_pod("database", {"app": "database"}), namespace, user=tenant)
+    cluster.create(_replica_set("tenants", {"app": "nav"}), namespace, user=tenant)
+    until(lambda: len(cluster.list("v1", "Pod", namespace)) == 2, "the pod of the ReplicaSet")
+
+
+def test_the_replica_set_of_a_workload_creates_its_instances(cluster: Cluster, namespace: str, tenant: str) -> None:
+    labels = {names.WORKLOAD: MINE, names.SOURCE: "workload", names.COMPONENT: "instance", names.TEMPLATE_HASH: "1"}
+    cluster.create(_replica_set(MINE, labels), namespace)
+    (pod,) = until(lambda: cluster.list("v1", "Pod", namespace), "its pod")
+    assert labels.items() <= pod["metadata"]["labels"].items()
+
+
+def test_the_operator_creates_instances_and_unclaimed_pods(
+    cluster: Cluster, namespace: str, release: Release, tenant: str
+) -> None:
+    operator = account(release.namespace, release.operator)
+    for number, labels in enumerate(LABELS.values()):
+        cluster.create(_pod(f"pod-{number}", labels), namespace, user=operator)
+
+
+def test_the_account_of_a_monitor_creates_no_instance(cluster: Cluster, namespace: str, tenant: str) -> None:
+    monitor = account(namespace, names.monitor_account(MINE))
+    _allow(cluster, namespace, monitor)
+
+    def judged() -> bool:
+        message = refusal(lambda: cluster.create(_pod(ACTIVE, LABELS["an-instance"]), namespace, user=monitor))
+        return "may not create pod" in message
+
+    until(judged, "the additional right to count")
