@@ -5,6 +5,8 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Annotated
 
+from pydantic import Field
+
 from understudy.api.base import matching
 
 MOMENT_PATTERN = (
@@ -15,6 +17,9 @@ MOMENT_MESSAGE = "write a date, a time and a time zone (RFC 3339), such as 2026-
 
 Moment = Annotated[str, matching(MOMENT_PATTERN, MOMENT_MESSAGE, max_length=40)]
 """A moment that a user writes. It does not use the schema's format date-time, whose error message does not say what is expected."""
+
+UnixTime = Annotated[float, Field(ge=-60_000_000_000, le=250_000_000_000, allow_inf_nan=False)]
+"""Unix seconds in a record that others may have written: a number that can be converted to a date."""
 
 
 def unix(moment: str | None) -> float | None:

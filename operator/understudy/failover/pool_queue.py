@@ -11,7 +11,10 @@ import asyncio
 from collections.abc import Awaitable, Callable, Collection, Iterable, Sequence
 from typing import Protocol, TypeVar
 
+from pydantic import Field
+
 from understudy.api.base import Model
+from understudy.api.moments import UnixTime
 
 YIELD = 0.5
 """Seconds for which a free pod is left to each waiter ahead. A waiter takes a pod within milliseconds of seeing it; the rest allows for a
@@ -32,9 +35,10 @@ class Waiter(Model):
 
     workload: str
     pool: str
-    priority: int = 0
-    since: float
-    until: float
+    priority: int = Field(default=0, ge=-1000, le=1000)
+    """The workload's ``spec.poolPriority``."""
+    since: UnixTime
+    until: UnixTime
     """When it gives up. Others ignore its record from then on."""
 
     @property

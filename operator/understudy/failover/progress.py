@@ -18,6 +18,7 @@ from understudy.api.base import Model, ReportedText
 from understudy.api.kinds.robot_workload import Attempt, DependencyRecovery, Moments, Parts, Recovery
 from understudy.api.kinds.state_spec import RestoredState
 from understudy.api.kinds.switchover_spec import Kind
+from understudy.api.moments import UnixTime
 from understudy.api.protocol.kept_state import RestoreReport
 from understudy.clock import CLOCK
 from understudy.failover.pool_queue import Waiter
@@ -62,10 +63,10 @@ class Progress(Model):
     result: Literal["Running", "Recovered", "Failed"] = "Running"
     strategy: str = ""
     """The strategy being tried; in the end the one that succeeded, empty if none did."""
-    cursor: float = 0.0
+    cursor: UnixTime = 0.0
     """The time up to which ``parts`` account for the recovery."""
     parts: dict[Part, float] = Field(default_factory=dict)
-    moments: dict[str, float] = Field(default_factory=dict)
+    moments: dict[str, UnixTime] = Field(default_factory=dict)
     state: list[RestoredState] = Field(default_factory=list)
     """Which kept state was restored in the present attempt."""
     given_restarts: int | None = None

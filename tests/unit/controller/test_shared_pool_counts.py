@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from typing import Any, cast
 
@@ -159,6 +160,28 @@ class TestQueue:
         found = self.gate(self.place("a"))
         found["metadata"]["annotations"][names.RECOVERY] = "{"
         assert pool_pods.queue("spare", [found], NOW) == []
+
+    @pytest.mark.parametrize(
+        ("field", "value"),
+        [
+            ("since", "1e300"),
+            ("since", "-1e300"),
+            ("since", "NaN"),
+            ("until", "Infinity"),
+            ("until", "1e300"),
+            ("priority", "1001"),
+            ("priority", "9" * 4000),
+        ],
+    )
+    def test_a_wait_that_no_monitor_records_keeps_no_pool_from_its_status(self, field: str, value: str) -> None:
+        found = self.gate(self.place("a"))
+        notes = found["metadata"]["annotations"]
+        written = json.loads(notes[names.RECOVERY])["waiting"][field]
+        assert f'"{field}":{written}' in notes[names.RECOVERY]
+        notes[names.RECOVERY] = notes[names.RECOVERY].replace(f'"{field}":{written}', f'"{field}":{value}')
+        waiting = pool_pods.queue("spare", [found, self.gate(self.place("b"))], NOW)
+        assert [one.workload for one in waiting] == ["b"]
+        assert "b (poolPriority 0" in condition(observe(spare(replicas=1), waiting=waiting), "Available")["message"]
 
     def test_the_condition_lists_the_waiting_workloads_in_order(self) -> None:
         waiting = [self.place("b", priority=100), self.place("a")]

@@ -74,7 +74,7 @@ async def test_a_recovery_stopped_before_its_commit_needs_no_request(monitor: Mo
 
 async def test_an_abandoned_recovery_leaves_the_queue_of_its_pool(monitor: Monitor) -> None:
     progress = started_recovery()
-    progress.waiting = Waiter(workload="w", pool="spare", priority=0, since=2.0, until=1e12)
+    progress.waiting = Waiter(workload="w", pool="spare", priority=0, since=2.0, until=1e11)
     await monitor.recover(None, DENIED, progress=progress)
     assert monitor.policy["metadata"]["labels"][names.WAITS_FOR] == "spare"
     await monitor.look()
