@@ -19,7 +19,17 @@ pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="network namespaces ne
 
 ADDRESSES = {"a": "10.64.0.2", "b": "10.64.0.3"}
 SERVICE = "10.64.9.9"
-RUNNING = "import sys, time; print('runs', flush=True); time.sleep(60)"
+RUNNING = """
+import signal, sys, time
+
+def report(*_):
+    print("reports its end", flush=True)
+    sys.exit()
+
+signal.signal(signal.SIGTERM, report)
+print("runs", flush=True)
+time.sleep(60)
+"""
 WITHIN = 15.0
 
 
@@ -77,10 +87,15 @@ class Hosts:
         """How often it was ended for another one."""
         return (self._folder / host).read_text().count("this one ends")
 
+    def reports(self, host: str) -> int:
+        """How often the server of a host reported its end to its participants."""
+        return (self._folder / host).read_text().count("reports its end")
+
     def end(self) -> None:
         for supervisor in self._started.values():
             supervisor.terminate()
             assert supervisor.wait(10) == 0
+        self._started.clear()
 
     def _inside(self, host: str, *command: str) -> None:
         subprocess.run([*self._hosts[host], *command], check=True)
@@ -145,6 +160,21 @@ def test_a_server_of_another_workload_does_not_end_it(hosts: Hosts) -> None:
     eventually(lambda: hosts.starts("a") + hosts.starts("b") == 2)
     time.sleep(2.0)
     assert hosts.ends("a") == 0
+
+
+def test_a_server_sends_nothing_when_it_ends(hosts: Hosts) -> None:
+    hosts.lead_to("a")
+    hosts.start("a")
+    eventually(lambda: hosts.starts("a") == 1)
+    hosts.lead_to("b")
+    hosts.start("b")
+    eventually(lambda: hosts.starts("b") == 1)
+    assert (hosts.ends("a"), hosts.reports("a")) == (1, 0), (
+        "participants would take it for the beginning of the other one"
+    )
+
+    hosts.end()  # as the kubelet does
+    assert hosts.reports("b") == 0
 
 
 def test_a_server_that_receives_no_answer_goes_on(hosts: Hosts) -> None:

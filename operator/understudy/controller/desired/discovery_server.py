@@ -127,7 +127,8 @@ def replacements(pods: Sequence[Object]) -> list[Write]:
 
     All servers of a workload have one GUID. A server on a lost node may live on and come back, and participants that hear it do not
     introduce themselves to its successor. The successor would not know, for example, all topics of the robot, as long as it lives. The
-    annotation also shows the successor where to end the one that comes back (ros/dds/sole_server.py).
+    annotation also shows the successor where to end the one that comes back (ros/dds/sole_server.py), after
+    which nothing else resets the participants that heard both.
     """
     present = {kube_objects.uid(pod) for pod in pods}
     lost = next((pod for pod in pods if kube_objects.evicted(pod)), None)

@@ -7,6 +7,16 @@ node that counts as lost and its successor, answer the same participants, which 
 Kubernetes nor the operator can end a server on a node that they cannot reach. So each server asks ADDRESS, that of the Service, every
 second who answers there: the answer is a token that each process draws for itself.
 
+A server is killed (SIGKILL), so that it sends nothing more. One that ends by itself tells each participant that it is gone, and often a
+millisecond later once more, from its history. A participant forgets the server at the first message, and takes the second one for the
+beginning of the next server. Then it ignores the next server, which counts its heartbeats and samples from 1, until these numbers exceed
+those of the server that ended. That can take minutes and outlast several servers: a participant notices only the end of a server
+that it has accepted. Without such a message, participants notice the end 2 s after they last heard the server, and the next one waits
+for that.
+
+Two servers may still run beside each other for some seconds, for example when a node returns. A participant that heard both mixes up
+their numbers in the same way, so the operator replaces the later one as well (controller/desired/discovery_server.py).
+
 A server that receives no answer goes on: the network may be down, or may not lead a pod back to itself. A server on a node that was cut
 off asks only itself, until its node knows again where the Service leads. That may be seconds after its packets reach the participants
 again. So its successor looks for it at its own address, to end it with the first packet that gets through.
@@ -47,9 +57,6 @@ the other one begins."""
 
 SUCCEEDS_EVERY = 0.1
 """Seconds between two packets to a predecessor that may live on. Its server announces itself twice a second."""
-
-ENDS_WITHIN = 1.0
-"""Seconds that the command has to end by itself. It then informs its participants, which need not notice that by themselves."""
 
 TOKEN = 16
 """Bytes of a token, of the nonce that belongs to a question, and of what names the Service in a packet to a predecessor."""
@@ -114,13 +121,9 @@ class SoleServer:
         raise _Ended  # a wait for packets would go on
 
     def _stop(self) -> None:
-        if self._server is not None and self._server.poll() is None:
-            self._server.terminate()
-            try:
-                self._server.wait(ENDS_WITHIN)
-            except subprocess.TimeoutExpired:
-                self._server.kill()
-                self._server.wait()
+        if self._server is not None:
+            self._server.kill()
+            self._server.wait()
         self._server = None
 
     def _ask(self, address: str) -> Answer:
