@@ -25,7 +25,7 @@ from understudy.agent.restoration.task_goals import TaskGoals
 from understudy.agent.writer_strength import WriterStrengths
 from understudy.api import names
 from understudy.api.protocol import hold_script
-from understudy.api.protocol.agent_messages import AgentStatus, GateEpoch, Phase
+from understudy.api.protocol.agent_messages import BEGUN, AgentStatus, GateEpoch, Phase
 from understudy.api.protocol.kept_state import KeptState
 from understudy.clock import CLOCK
 from understudy.kube.gates.probes import ProbeSender
@@ -337,7 +337,7 @@ class Agent:
     def _procedure_begins(self, name: str, brought: str) -> None:
         """Forget which procedure the instance completed, because another one is about to change the instance."""
         if brought:
-            self._memory.brought = ""
+            self._memory.brought = f"{BEGUN}{brought}"
             self._save()
         self._notify()
 

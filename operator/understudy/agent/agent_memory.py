@@ -37,7 +37,7 @@ class AgentMemory:
     standby: dict[str, Any] | None = None
     """The readiness that the request expects of a waiting instance."""
     brought: str = ""
-    """The procedure that the instance completed, under the monitor's name for it."""
+    """As AgentStatus.initialized."""
     epoch: int = 0
     """The newest epoch of the gate that a monitor of the workload has sent."""
     workload_uid: str = ""

@@ -65,7 +65,7 @@ async def test_a_failed_procedure_reports_its_leaf_and_the_reason(robot: Pod, li
         await link.procedure(wrong, WITHIN, name="initialization", brought="init:1")
     status = await status_of(link)
     assert not status.ready
-    assert status.initialized == ""
+    assert status.initialized == "begun:init:1"
     assert_golden("agent", status.reason, "initialization.sequence[1].parameter_is")
 
 

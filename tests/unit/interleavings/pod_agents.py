@@ -16,7 +16,7 @@ from understudy.agent.agent_memory import AgentMemory
 from understudy.agent.control_channel import ControlChannel, Operation, Peer, Refused
 from understudy.agent.readiness import StandbyExpectation, StandbyReadiness
 from understudy.agent.restoration.procedure_runner import InstanceActions, ProcedureRunner
-from understudy.api.protocol.agent_messages import AgentStatus, GateEpoch
+from understudy.api.protocol.agent_messages import BEGUN, AgentStatus, GateEpoch
 from understudy.api.protocol.kept_state import KeptState, RestoreReport
 
 if TYPE_CHECKING:
@@ -209,7 +209,7 @@ class PodAgent:
 
     def _procedure_begins(self, name: str, brought: str) -> None:
         if brought:
-            self.memory.brought = ""
+            self.memory.brought = f"{BEGUN}{brought}"
             self._robots.disturb(self._found.uid)
         self.notify()
 

@@ -51,6 +51,9 @@ agents of running pods as they are: rename it only when no supported version of 
 GAVE_WAY = "gave way to another procedure"
 """Error of a procedure that a newer procedure replaced."""
 
+BEGUN = "begun:"
+"""Prefix of a procedure in ``AgentStatus.initialized`` that has begun and is not completed: it runs, or has failed."""
+
 Phase = Literal["Held", "Starting", "Running"]
 
 
@@ -150,7 +153,7 @@ class AgentStatus:
     """Whether the agent has a health tree."""
     outputs: Mapping[str, OutputCount] = field(default_factory=dict)
     initialized: str = ""
-    """The last completed procedure, by the name that the monitor gave it. Empty if there is none, or while one runs."""
+    """The last procedure, by the name that the monitor gave it; after BEGUN if it runs or has failed. Empty if there was none."""
     check: str = ""
     """Why the readiness check fails. Empty if it succeeds or there is none."""
     procedure: str = ""

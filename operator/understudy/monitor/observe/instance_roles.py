@@ -10,6 +10,7 @@ from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.procedure_spec import Check
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+from understudy.api.protocol.agent_messages import BEGUN
 from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Gate, Instance
@@ -58,7 +59,8 @@ def role_of(
     bring_up = BringUp.of("bringUp", spec.bring_up)
     if instance.uid == active_uid:
         pool = pool_of(instance, settings)
-        drives = brought.startswith(DRIVING) or (brought and pool is not None and pool.level.runs_in_full)
+        runs_in_full = bool(brought) and pool is not None and pool.level.runs_in_full
+        drives = brought.startswith(DRIVING) or (runs_in_full and not brought.startswith(BEGUN))
         if bring_up is None or drives:
             return Role()
         return Role(bring_up, _token(DRIVING, bring_up, instance), origin=BRING_UP)

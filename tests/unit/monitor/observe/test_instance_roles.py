@@ -100,6 +100,13 @@ def test_strategies_bring_up_instances_that_do_not_execute_yet() -> None:
     assert again.recovery.name == "strategies[2].recovery", "instead of the workload's bringUp"
 
 
+def test_an_active_instance_whose_procedure_has_failed_is_brought_up() -> None:
+    active, full = replace(ACTIVE, pool="hot"), settings(HOT)
+    for brought, drives in (("init:1:0", True), ("begun:init:1:0", False), ("", False)):
+        found = role_of(active, parsed_spec(bringUp=UP), full, active_uid="uid-1", brought=brought)
+        assert (found.procedure is None) == drives
+
+
 @pytest.mark.parametrize("before", ["init:other:0", ""])
 def test_a_ready_standby_with_an_outdated_procedure_stays_as_it_is(before: str) -> None:
     found = role_of(STANDBY, parsed_spec(), settings(WARM), active_uid="uid-1", brought=before, ready=True)
@@ -109,7 +116,7 @@ def test_a_ready_standby_with_an_outdated_procedure_stays_as_it_is(before: str) 
     assert not role_of(STANDBY, parsed_spec(), settings(WARM), active_uid="uid-1", brought=before).outdated
 
 
-@pytest.mark.parametrize("before", ["up:other:0", "init:other:1"])
+@pytest.mark.parametrize("before", ["up:other:0", "init:other:1", "begun:init:other:0"])
 def test_a_standby_brought_up_otherwise_or_restarted_is_initialized(before: str) -> None:
     found = role_of(STANDBY, parsed_spec(), settings(WARM), active_uid="uid-1", brought=before, ready=True)
     assert found.brought.startswith("init:")
