@@ -607,10 +607,15 @@ def lost_steps(seen: Seen) -> Iterator[tuple[Command, Command, int]]:
 
 def unkept(seen: Seen, injected: Sequence[Injected], last: Command) -> int:
     """Return how many steps an instance had made up to its last command since its monitor had ended or was frozen; 0 if one had received it
-    since.
+    since. All of them, if a node was lost with both: the state is kept on the monitor's node by default (docs/state.md).
 
     Nobody keeps these steps, which are lost if the instance fails then.
     """
+    for lost in injected:
+        monitors = [node for ready, node in seen.monitors if ready <= lost.begun]
+        is_both = monitors[-1:] == [lost.told] and seen.nodes.get(last.source) == lost.told
+        if lost.fault.kind in NODE_LOST and is_both and abs(last.received - lost.begun) <= TOGETHER:
+            return seen.steps[last.sequence]
     frozen = [(one.begun, one.ended) for one in injected if one.fault.kind == "monitor-freeze"]
     for begin, end in [*seen.unmonitored, *frozen]:
         if begin < last.received <= end + LISTENS:

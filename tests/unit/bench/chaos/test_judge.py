@@ -439,6 +439,17 @@ def test_what_an_instance_did_while_no_monitor_ran_is_kept_by_nobody(
     assert found.unkept == ([pytest.approx(640, abs=1)] if next_monitor == 60.0 else [])
 
 
+@pytest.mark.parametrize(("monitor", "expected"), [("node1", []), ("node2", ["state lost"])])
+def test_the_state_of_an_instance_is_lost_with_the_node_of_its_monitor(monitor: str, expected: list[str]) -> None:
+    commands = log(drive("a", 1, 62), drive("b", 70, 78))
+    steps = {c.sequence: c.sequence if c.source == "a" else c.sequence - 1240 for c in commands}
+    more: Any = {"commits": [Commit(0.0, 1, ("a",)), Commit(69.9, 2, ("b",))], "recoveries": [recovery(69.5, 69.9)]}
+    off = replace(fault("node-power", 62.0, 72.0), told="node1")
+    nodes, monitors = {"a": "node1", "b": "node3"}, [(0.0, monitor), (68.0, "node3")]
+    found = judged(commands, off, steps=steps, nodes=nodes, monitors=monitors, **more)
+    assert [what for what in whats(found) if what == "state lost"] == expected
+
+
 def test_what_an_instance_did_while_its_monitor_was_frozen_is_kept_by_nobody() -> None:
     commands = log(drive("a", 1, 62), drive("b", 63, 70))
     steps = {c.sequence: c.sequence - (200 if c.source == "b" else 0) for c in commands}
