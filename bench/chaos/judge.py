@@ -207,6 +207,9 @@ class Judgement:
     """Seconds before the switch at which commands were sent that arrived after it, beyond a period."""
     stalled: list[float] = field(default_factory=list)
     """The same for the last command of a process that stalled then, so that it could not expire the command."""
+    held: list[float] = field(default_factory=list)
+    """The same for a command that tampering let through before: the robot's reader holds a reliable sample until it knows of those before
+    it, and these were dropped."""
     gaps: dict[str, list[float]] = field(default_factory=dict)
     """Seconds without commands by strategy, without what faults explain."""
     lost_steps: list[int] = field(default_factory=list)
@@ -294,8 +297,10 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
             text = f"{len(group)} commands of {first.source}, up to {last:.3f} s after it was fenced"
             violation("fenced instance", first.received, text)
     routed = {recovery.epoch: recovery.moments.get("routed", math.inf) for recovery in seen.recoveries}
-    for pod, switch, ages, stalled in stale(seen.commands, seen.commits, routed, period):
+    for pod, switch, late_ones, stalled in stale(seen.commands, seen.commits, routed, period):
         found.stalled += stalled
+        ages = [age for age in late_ones if not any(first <= switch - age <= last + REPAIR for first, last in tampered)]
+        found.held += [age for age in late_ones if age not in ages]
         if not ages:
             continue
         found.stale += ages

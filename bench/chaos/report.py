@@ -63,6 +63,8 @@ def summarize(
     report.figure("commands from before the switch", [len(stale)], unit="commands", must={"max": 0})
     if stale:
         report.figure("their age at the switch", [1000 * age for age in stale], unit="ms")
+    if held := [age for judgement in judgements for age in judgement.held]:
+        report.figure("age of commands that tampering had let through and the robot's reader had held", held, unit="s")
     if stalled := [age for judgement in judgements for age in judgement.stalled]:
         report.figure(
             "age at the switch of commands of processes that stalled then", [1000 * a for a in stalled], unit="ms"

@@ -192,6 +192,15 @@ def test_commands_that_were_sent_before_the_switch_are_stale() -> None:
     assert whats(found) == ["stale command"]
 
 
+def test_a_command_that_tampering_let_through_and_the_robots_reader_held_is_counted_apart() -> None:
+    early = replace(drive("b", 10.6, 10.7)[0], sent=3.0)
+    commands = log(drive("a", 1, 10.5), [early], drive("b", 10.65, 12))
+    more: Any = {"commits": [Commit(0.0, 1, ("a",)), Commit(10.55, 2, ("b",))], "recoveries": [recovery(10.5, 10.6)]}
+    found = judged(commands, KILLED, fault("label-exchange", 2.8, number=2), **more)
+    assert (found.held, found.stale) == ([pytest.approx(7.6, abs=0.1)], [])
+    assert "stale command" in whats(judged(commands, KILLED, **more))
+
+
 def test_commands_that_a_busy_robot_received_late_are_not_stale_if_the_gate_was_open_when_they_were_sent() -> None:
     burst = [Command(10.9, "b", 0, 10.9 - age, *[0.0] * 6) for age in (0.28, 0.2, 0.03)]
     commits = [Commit(0.0, 1, ("a",)), Commit(11.2, 2, ("b",))]
