@@ -234,6 +234,8 @@ async def test_a_new_operator_reconciles_what_a_deleted_pool_left_behind(resourc
 class Reconciled:
     """Notes what is to be looked at."""
 
+    trees = None
+
     def __init__(self) -> None:
         self.keys: list[Key] = []
 

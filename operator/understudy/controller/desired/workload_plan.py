@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -12,14 +11,13 @@ from pydantic import ValidationError
 from understudy.api import names
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.controller.desired import action_proxy_container, discovery_server, reflex_validation
-from understudy.controller.observed import kube_objects, policy_reader, pool_reader, workload_reference
+from understudy.controller.observed import kube_objects, policy_reader, pool_reader, tree_verdicts, workload_reference
 from understudy.controller.observed.observation import Observed
 from understudy.controller.plan import Images, Problem
 from understudy.controller.pods import instance_pod, ros_environment
 from understudy.kube.client import Object
 from understudy.kube.gates import registry
 from understudy.ros.rmw import MIDDLEWARE
-from understudy.trees.languages.procedure_notations import composed
 
 
 @dataclass(frozen=True)
@@ -39,6 +37,9 @@ class WorkloadPlan:
     """Built pod templates: of the workload's own ReplicaSet ("") and of the standbys of each pool."""
 
 
+_BRING_UP = "spec.bringUp"
+
+
 def evaluate(observed: Observed, images: Images) -> WorkloadPlan:
     """Evaluate a workload's spec, before the API server validates its template."""
     workload = observed.workload
@@ -49,8 +50,8 @@ def evaluate(observed: Observed, images: Images) -> WorkloadPlan:
         return WorkloadPlan(problem=Problem("SpecInvalid", policy_reader.invalid(error)))
     policy = _policy_problem(observed, spec)
     trees = ((f"spec.dependsOn[{index}].procedure", one.procedure) for index, one in enumerate(spec.depends_on))
-    if words := policy_reader.procedures_problem(("spec.bringUp", spec.bring_up), *trees):
-        return WorkloadPlan(spec=spec, problem=Problem("TreeInvalid", words), policy_problem=policy)
+    if refused := policy_reader.procedures_problem((_BRING_UP, spec.bring_up), *trees):
+        return WorkloadPlan(spec=spec, problem=refused, policy_problem=policy)
 
     def refuse(problem: Problem) -> WorkloadPlan:
         return WorkloadPlan(spec=spec, problem=problem, policy_problem=policy)
@@ -131,5 +132,7 @@ def _procedure(observed: Observed, spec: RobotWorkloadSpec, pool: str) -> str:
     if observed.refused(pool) is not None:
         return ""
     parsed = pool_reader.spec(observed.pools[pool])
-    found = parsed.initialization or (spec.bring_up if parsed.level.runs_in_full else None)
-    return json.dumps(composed(found, path=pool).node, sort_keys=True) if found is not None else ""
+    found, path = parsed.initialization, pool_reader.INITIALIZATION
+    if found is None and parsed.level.runs_in_full:
+        found, path = spec.bring_up, _BRING_UP
+    return tree_verdicts.of(policy_reader.procedure(found, path)).tree if found is not None else ""

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import functools
 import json
 from collections.abc import Mapping
-from typing import Any
 
 from understudy.api import names
 from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import Monitoring, TreeInForce, TreeReference
-from understudy.controller.observed import kube_objects
+from understudy.controller.observed import kube_objects, tree_verdicts
 from understudy.controller.plan import Problem
 from understudy.kube.client import Object
-from understudy.trees.languages.text_files import load_text
-from understudy.trees.source.problems import TreeError
+from understudy.trees.languages.tree_check import TreeText
 
 FIELD = "spec.monitoring.configMapKeyRef"
 
@@ -32,17 +29,29 @@ def lent(config_map: Object) -> bool:
 
 
 def find(monitoring: Monitoring, config_maps: Mapping[str, Object], namespace: str) -> TreeInForce | Problem | None:
-    """Return the tree that a policy refers to, or the problem with it; None if the tree is in the policy."""
+    """Return the tree that a policy refers to, or the problem with it; None if the tree is in the policy.
+
+    Raises Unjudged.
+    """
+    referred, tree = monitoring.config_map_key_ref, written(monitoring, config_maps, namespace)
+    if referred is None or tree is None or isinstance(tree, Problem):
+        return tree if isinstance(tree, Problem) else None
+    verdict = tree_verdicts.of(tree)
+    if verdict.reason:
+        return Problem(verdict.reason, verdict.message)
+    return TreeInForce(name=referred.name, key=referred.key, **{referred.form: json.loads(verdict.tree)})
+
+
+def written(monitoring: Monitoring, config_maps: Mapping[str, Object], namespace: str) -> TreeText | Problem | None:
+    """Return the tree that a policy refers to, to be checked, or why there is none; None if the tree is in the policy."""
     referred = monitoring.config_map_key_ref
     if referred is None:
         return None
     text = _text(referred, config_maps, namespace)
     if isinstance(text, Problem):
         return text
-    tree, problem = _loaded(referred.form, text, referred.name, referred.key, seconds(monitoring.startup_grace))
-    if problem:
-        return Problem("TreeInvalid", problem)
-    return TreeInForce(name=referred.name, key=referred.key, **{referred.form: json.loads(tree)})
+    path = f"ConfigMap {referred.name}, {referred.key}"
+    return TreeText("file", referred.form, text, path, seconds(monitoring.startup_grace))
 
 
 def _text(referred: TreeReference, config_maps: Mapping[str, Object], namespace: str) -> str | Problem:
@@ -65,13 +74,3 @@ def _text(referred: TreeReference, config_maps: Mapping[str, Object], namespace:
             f'{FIELD}.key: ConfigMap {referred.name} has no "{referred.key}" in its data ({there}). Correct the ConfigMap or the key',
         )
     return str(text)
-
-
-@functools.lru_cache(maxsize=512)
-def _loaded(form: str, text: str, name: str, key: str, grace: float) -> tuple[str, str]:
-    """Return the tree as JSON, and the problem with it; one of the two is empty."""
-    try:
-        tree: Any = load_text(form, text, path=f"ConfigMap {name}, {key}", grace=grace)
-    except TreeError as error:
-        return "", error.in_short()
-    return json.dumps(tree), ""

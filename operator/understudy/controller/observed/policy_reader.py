@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import functools
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 from pydantic import ValidationError
 
 from understudy.api.base import seconds
-from understudy.api.kinds.failure_policy import FailurePolicySpec, StormGuard
+from understudy.api.kinds.failure_policy import FailurePolicySpec, Monitoring, StormGuard
 from understudy.api.kinds.procedure_spec import Check, Procedure
 from understudy.api.kinds.tree_spec import Written
-from understudy.controller.observed import health_tree_sources, situation_strategies
+from understudy.controller.observed import health_tree_sources, situation_strategies, tree_verdicts
 from understudy.controller.plan import Problem
 from understudy.kube.client import Object
-from understudy.trees.languages.notations import load_health
-from understudy.trees.languages.procedure_notations import compose
-from understudy.trees.source.problems import TreeError
+from understudy.trees.languages.tree_check import Purpose, TreeText
 
 _MOST_PROBLEMS = 10
 
@@ -38,53 +35,38 @@ def invalid(error: ValidationError) -> str:
 def problem(policy: Object, config_maps: Mapping[str, Object]) -> Problem | None:
     """Return why a policy is invalid, or None. Missing pools do not count, because the next strategy is then used.
 
-    ``config_maps`` are those of its namespace.
+    ``config_maps`` are those of its namespace. Raises Unjudged.
     """
     try:
         parsed = spec(policy)
     except ValidationError as error:
         return Problem("SpecInvalid", invalid(error))
-    tree = health_tree_sources.find(parsed.monitoring, config_maps, policy["metadata"]["namespace"])
+    tree = health_tree_sources.written(parsed.monitoring, config_maps, policy["metadata"]["namespace"])
     if isinstance(tree, Problem):
         return tree
     grace = seconds(parsed.monitoring.startup_grace)
-    if tree is None and (found := _tree_problem(parsed.monitoring.form, json.dumps(parsed.monitoring.tree), grace)):
-        return Problem("TreeInvalid", found)
-    for path, inline in _inline_trees(parsed):
-        if found := _inline_problem(inline, path, grace):
-            return Problem("TreeInvalid", found)
-    if found := procedures_problem(*((f"spec.{path}", recovery) for path, recovery in parsed.recoveries)):
-        return Problem("TreeInvalid", found)
-    return None
+    first = [tree or _health_tree(parsed.monitoring, "spec.monitoring", grace)]
+    first += [_health_tree(inline, path, grace) for path, inline in _inline_trees(parsed)]
+    return tree_verdicts.problem(first, _procedures((f"spec.{path}", one) for path, one in parsed.recoveries))
 
 
-def procedures_problem(*found: tuple[str, Procedure | Check | None]) -> str | None:
+def procedures_problem(*found: tuple[str, Procedure | Check | None]) -> Problem | None:
     """Return the problems of procedures and checks, which are given with their paths; None if there are none."""
-    problems = [
-        problem
-        for path, tree in found
-        if tree is not None
-        and (problem := _procedure_problem(tree.form, json.dumps(tree.tree), path, isinstance(tree, Check))) is not None
-    ]
-    return "; ".join(problems) or None
+    return tree_verdicts.problem((), _procedures(found))
 
 
-@functools.lru_cache(maxsize=512)
-def _procedure_problem(form: str, tree: str, path: str, is_check: bool) -> str | None:
-    try:
-        compose(form, json.loads(tree), check=is_check, path=f"{path}.{form}")
-    except TreeError as error:
-        return error.in_short()
-    return None
+def procedure(tree: Procedure | Check, path: str) -> TreeText:
+    """Return a procedure or check at a path, to be checked."""
+    purpose: Purpose = "check" if isinstance(tree, Check) else "procedure"
+    return TreeText(purpose, tree.form, json.dumps(tree.tree), f"{path}.{tree.form}")
 
 
-@functools.lru_cache(maxsize=512)
-def _tree_problem(form: str, tree: str, grace: float, path: str | None = None) -> str | None:
-    try:
-        load_health(form, json.loads(tree), grace=grace, path=path)
-    except TreeError as error:
-        return error.in_short()
-    return None
+def _procedures(found: Iterable[tuple[str, Procedure | Check | None]]) -> list[TreeText]:
+    return [procedure(tree, path) for path, tree in found if tree is not None]
+
+
+def _health_tree(tree: Written | Monitoring, path: str, grace: float) -> TreeText:
+    return TreeText("health", tree.form, json.dumps(tree.tree), f"{path}.{tree.form}", grace)
 
 
 def _inline_trees(parsed: FailurePolicySpec) -> Iterator[tuple[str, Written]]:
@@ -98,10 +80,6 @@ def _inline_trees(parsed: FailurePolicySpec) -> Iterator[tuple[str, Written]]:
     for index, action in enumerate(parsed.degraded.actions):
         if action.reschedule is not None and action.reschedule.idle is not None:
             yield f"spec.degraded.actions[{index}].reschedule.idle", action.reschedule.idle
-
-
-def _inline_problem(tree: Written, path: str, grace: float) -> str | None:
-    return _tree_problem(tree.form, json.dumps(tree.tree), grace, f"{path}.{tree.form}")
 
 
 def named_pools(policy: Object) -> list[str]:

@@ -11,18 +11,19 @@ from understudy.controller.plan import Problem
 from understudy.kube import selectors
 from understudy.kube.client import Object
 
+INITIALIZATION = "spec.initialization"
+"""Path of the procedure that initializes a pool's standbys."""
+
 
 def problem(pool: Object) -> Problem | None:
-    """Return why a pool's own spec is invalid, or None."""
+    """Return why a pool's own spec is invalid, or None. Raises Unjudged."""
     try:
         parsed = spec(pool)
     except ValidationError as error:
         return Problem("SpecInvalid", policy_reader.invalid(error))
-    if found := policy_reader.procedures_problem(
-        ("spec.initialization", parsed.initialization), ("spec.readinessCheck", parsed.readiness_check)
-    ):
-        return Problem("TreeInvalid", found)
-    return None
+    return policy_reader.procedures_problem(
+        (INITIALIZATION, parsed.initialization), ("spec.readinessCheck", parsed.readiness_check)
+    )
 
 
 def readiness(pool: Object) -> str:

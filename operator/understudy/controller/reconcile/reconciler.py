@@ -13,7 +13,7 @@ from understudy.api.base import API_VERSION
 from understudy.api.conditions import Condition
 from understudy.controller.desired import node_drain, workload_objects
 from understudy.controller.desired.workload_plan import WorkloadPlan, evaluate, probe_template
-from understudy.controller.observed import dependency_graph, kube_objects, policy_reader
+from understudy.controller.observed import dependency_graph, kube_objects, policy_reader, tree_verdicts
 from understudy.controller.observed.observation import Observed
 from understudy.controller.plan import UNANSWERED, Images, Problem
 from understudy.controller.pods import claim_tokens, instance_pod, pool_pods, pool_size
@@ -24,6 +24,7 @@ from understudy.controller.reconcile.object_store import Store
 from understudy.controller.reconcile.observer import Observer
 from understudy.controller.reconcile.rollouts import Rollouts
 from understudy.controller.reconcile.template_validation import FORGET_REFUSAL, Judge
+from understudy.controller.reconcile.tree_judge import TreeJudge
 from understudy.controller.status import policy_status, pool_status, storm_detection, workload_status
 from understudy.kube.client import (
     CONFIG_MAPS,
@@ -103,10 +104,13 @@ class Reconciler:
         recorder: Recorder,
         images: Images,
         rollouts: Rollouts,
+        trees: TreeJudge | None = None,
     ) -> None:
+        """Without ``trees``, the trees of an object are checked while it is reconciled, which may take long."""
         self._client, self._store, self._observer, self._executor = client, store, observer, executor
         self._recorder, self._images, self._judge = recorder, images, Judge(client)
         self._rollouts = rollouts
+        self.trees = trees
         self._fresh = fresh()
         self._counted: dict[Key, float] = {}
         """Time of the last write of each pool's status, in seconds of the monotonic clock."""
@@ -116,8 +120,18 @@ class Reconciler:
     async def reconcile(self, key: Key) -> float | None:
         """Reconcile the object, and return the seconds until it must be reconciled again, or None.
 
-        Raises what :meth:`Executor.run` raises.
+        An object with a tree that was not checked yet is left as it is until then. Raises what :meth:`Executor.run` raises.
         """
+        if self.trees is None:
+            return await self._reconcile(key)
+        try:
+            with tree_verdicts.looked_up(self.trees.find):
+                return await self._reconcile(key)
+        except tree_verdicts.Unjudged as missing:
+            self.trees.submit(missing.tree, key)
+            return None
+
+    async def _reconcile(self, key: Key) -> float | None:
         item = self._store.get(_RESOURCES[key.plural], key.namespace, key.name)
         if key.plural == WORKLOADS.plural:
             return await self._workload(key, item)

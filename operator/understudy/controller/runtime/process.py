@@ -28,6 +28,7 @@ from understudy.controller.reconcile.object_store import Store
 from understudy.controller.reconcile.observer import Observer
 from understudy.controller.reconcile.reconciler import Reconciler
 from understudy.controller.reconcile.rollouts import PERCENT, Rollouts
+from understudy.controller.reconcile.tree_judge import TreeJudge
 from understudy.controller.runtime import kopf_handlers, watches
 from understudy.controller.runtime.fleet_metrics import FleetMetrics
 from understudy.controller.runtime.workers import Operator
@@ -36,6 +37,7 @@ from understudy.kube.events import Recorder
 from understudy.kube.kubeconfig import KubeconfigError, default_access, load_access
 from understudy.kube.leader_election import LeadershipLost, Lease, Timing
 from understudy.process import http_pages, json_logs
+from understudy.process.tree_checker import TreeChecker
 
 _logger = logging.getLogger(__name__)
 
@@ -80,6 +82,7 @@ async def run(access: Access, options: Options, *, stop: asyncio.Event | None = 
             Recorder(client, MANAGER, options.identity),
             options.images,
             Rollouts(store, percent=options.rollout_percent),
+            TreeJudge(TreeChecker()),
         )
         operator = Operator(client, store, reconciler, namespaces=options.namespaces, resync_every=options.resync_every)
         fleet = FleetMetrics(store, lambda: lease.held)

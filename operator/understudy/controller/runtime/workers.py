@@ -47,6 +47,8 @@ class Operator:
     ) -> None:
         self._store, self._reconciler = store, reconciler
         store.noticed = self._enqueue
+        if reconciler.trees is not None:
+            reconciler.trees.judged = lambda key: self._add(key, 0)
         self._lists, self._resync_every = resync.ListCycle(client, store, namespaces), resync_every
         self.queue: Queue[Key] = Queue()
         self._leading = False
@@ -145,6 +147,8 @@ class Operator:
         async with asyncio.TaskGroup() as group:
             for _ in range(WORKERS):
                 group.create_task(self._work())
+            if self._reconciler.trees is not None:
+                group.create_task(self._reconciler.trees.run())
 
     async def _work(self) -> None:
         while True:

@@ -18,6 +18,9 @@ from understudy.trees.languages.osc.syntax_errors import FirstErrorListener
 from understudy.trees.languages.osc.tokens import Token
 from understudy.trees.source.positions import WHOLE_FILE, Malformed, TextOffset
 
+_FETCHED = 1000
+"""Tokens that are read from a text at once."""
+
 _EXPRESSIONS = """
 expression implication disjunction conjunction inversion relation sumExpression term factor postfixExp primaryExp valueExp
 """
@@ -84,7 +87,10 @@ def _parsed(text: str, dialect: Dialect, begins: TextOffset) -> Part:
     for recognizer in (lexer, parser):
         recognizer.removeErrorListeners()  # the default listeners print
         recognizer.addErrorListener(complaints)
-    stream.fill()
+    # Not all at once: the tokens of a text that has too many are not all needed to refuse it.
+    stream.lazyInit()
+    while len(stream.tokens) <= tokens.MOST and stream.fetch(_FETCHED) == _FETCHED:
+        pass
     found = [_token(parser, token) for token in stream.tokens]
     tokens.check(found, dialect.subject, dialect.words)
     return _Parts(parser.ruleNames, source, begins).part(parser.osc_file())

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from understudy.api.durations import LONGEST_TEXT
 from understudy.trees.source.positions import nearest
 from understudy.trees.source.problems import Problem, TreeError
 
@@ -14,6 +15,13 @@ LONGEST_MESSAGE = 500
 
 MOST_PROBLEMS = 100
 """Number of problems after which the search ends: a problem in a subtree is found at each of its uses."""
+
+MOST_IN_VALUES = 2 * LONGEST_TEXT
+"""Most characters of all values of a tree. A text is bounded, but each use of a subtree repeats the values in it."""
+
+_TOO_LONG = (
+    f"the values of the tree have more than {MOST_IN_VALUES} characters; shorten them, or use subtrees less often"
+)
 
 WRAPPED: Mapping[str, str] = {"while": "do", "inverter": "inverter", "timeout": "timeout.do", "retry": "retry.do"}
 """By kind of a wrapping node, the path from it to the wrapped node."""
@@ -79,6 +87,7 @@ class SourceMap:
         self._path = path
         self._places: dict[str, tuple[Origin, str]] = {}
         self._unread: set[str] = set()
+        self._in_values = 0
         self.nodes: dict[str, Origin] = {}
         """By path from the tree, including the node's kind, the origin of each node."""
         self.problems: list[LocatedProblem] = []
@@ -131,6 +140,13 @@ class SourceMap:
 
     def _value(self, written: ParsedNode, port: str, path: str) -> Any:
         text = written.values[port]
+        before, self._in_values = self._in_values, self._in_values + len(text)
+        if self._in_values > MOST_IN_VALUES:
+            self._unread.add(path)
+            if before <= MOST_IN_VALUES:
+                origin = written.places.get(port, written.origin)
+                self.problems.append(origin.problem(self._path, _TOO_LONG, port))
+            return ""
         try:
             return written.reads[port](text) if port in written.reads else text
         except ValueError as error:
