@@ -14,7 +14,7 @@ import pytest
 from tests.cluster import monitor_accounts
 from tests.cluster.operators import APPS, CORE, Fleet, Operator
 from tests.cluster.policy_pods import World, table
-from tests.support.cluster import Cluster, Object, Refused, until
+from tests.support.cluster import Cluster, Object, Refused, account, until
 from tests.support.sharing import shared
 from understudy.api.base import GROUP
 from understudy.api.schema.printed_kinds import KINDS
@@ -39,7 +39,7 @@ def _one_cluster(kubeconfig: Path) -> None:
 
 @dataclass(frozen=True)
 class Release:
-    """The installed chart."""
+    """An installed chart."""
 
     name: str
     namespace: str
@@ -48,6 +48,15 @@ class Release:
     def operator(self) -> str:
         """The operator's ServiceAccount and its roles."""
         return f"{self.name}-operator"
+
+    @property
+    def user(self) -> str:
+        """The user that the operator's ServiceAccount is."""
+        return account(self.namespace, self.operator)
+
+
+CONFINED = Release("confined-understudy", "understudy-confined")
+"""The chart for an operator of named namespaces, beside the one that all tests share."""
 
 
 def _helm(helm: str, kubeconfig: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -192,8 +201,8 @@ def _install(cluster: Cluster, helm: str, kubeconfig: Path, release: Release) ->
     chart = str(REPOSITORY / "charts" / "understudy")
     there = _helm(helm, kubeconfig, "status", NAME).returncode == 0
     values = ["--reset-then-reuse-values"] if there else ["--set", "operator.replicas=0"]
-    # The operators and monitors of these tests run outside the cluster, with the rights of the tests.
-    values += ["--set", f"admission.labelWriters={{{cluster.user}}}"]
+    # The operators and monitors of these tests run outside the cluster, with the rights of the tests or of another release.
+    values += ["--set", f"admission.labelWriters={{{cluster.user},{CONFINED.user}}}"]
     done = _helm(
         helm, kubeconfig, "upgrade", "--install", NAME, chart, "--create-namespace", "--take-ownership", *values
     )

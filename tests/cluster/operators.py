@@ -231,11 +231,13 @@ class Fleet:
 class Operator:
     """An operator in a thread of this process, for one namespace."""
 
-    def __init__(self, kubeconfig: Path, namespace: str, *, resync_every: float = 30.0) -> None:
+    def __init__(
+        self, kubeconfig: Path, namespace: str, *, resync_every: float = 30.0, lease_namespace: str = ""
+    ) -> None:
         self._access = load_access(str(kubeconfig))
         self._options = running.Options(
             images=IMAGES,
-            lease_namespace=namespace,
+            lease_namespace=lease_namespace or namespace,
             identity=uuid.uuid4().hex[:8],
             namespaces=(namespace,),
             resync_every=resync_every,
