@@ -119,8 +119,10 @@ class ReflexInvariants(Invariants):
 
     def _recovering(self, workload: str, record: GateRecord) -> None:
         """A recovery has committed: what the reflex did is built upon."""
-        taken = Progress.model_validate_json(record.recovery).taken_over
-        if taken is None or record.fenced:
+        recovery = Progress.model_validate_json(record.recovery)
+        taken = recovery.taken_over
+        is_over = recovery.result != "Running"  # the gate is closed for a leak
+        if taken is None or record.fenced or is_over:
             return
         self.robots.counts["fell over"] += taken.uid == record.active_uid
         found = self.robots.running.get(taken.uid)
