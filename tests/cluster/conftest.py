@@ -14,7 +14,7 @@ import pytest
 from tests.cluster import monitor_accounts
 from tests.cluster.operators import APPS, CORE, Fleet, Operator
 from tests.cluster.policy_pods import World, table
-from tests.support.cluster import Cluster, Object, Refused, account, until
+from tests.support.cluster import Cluster, Object, account, until
 from tests.support.sharing import shared
 from understudy.api.base import GROUP
 from understudy.api.schema.printed_kinds import KINDS
@@ -164,15 +164,11 @@ def gate(cluster: Cluster, release: Release, namespace: str) -> Object:
 def compromised_monitor(cluster: Cluster, namespace: str, gate: Object) -> str:
     """The user name of the monitor of that gate, once the API server applies its rights and the admission policies."""
     user = monitor_accounts.create(cluster, namespace, monitor_accounts.MINE)
-
-    def effective() -> bool:
-        try:
-            cluster.patch(gate, {"metadata": {"labels": {"effective": "no"}}}, user=user, dry_run=True)
-        except Refused as error:
-            return "of its gate only" in error.message
-        return False
-
-    until(effective, "the admission policy of gates to be enforced")
+    monitor_accounts.until_refused(
+        lambda: cluster.patch(gate, {"metadata": {"labels": {"effective": "no"}}}, user=user, dry_run=True),
+        "of its gate only",
+        "the admission policy of gates to be enforced",
+    )
     return user
 
 

@@ -1,4 +1,4 @@
-"""Accounts of monitors, with the rights that the operator gives them."""
+"""Accounts of monitors, with the rights that the operator gives them, and users with rights of their own."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 import pytest
 import yaml
 
-from tests.support.cluster import Cluster, Object, Refused, account
+from tests.support.cluster import Cluster, Object, Refused, account, until
 from understudy.api import names
 from understudy.controller.desired import monitor_deployment
 from understudy.kube.client import Access
@@ -42,6 +42,16 @@ def create(
     return account(namespace, names.monitor_account(workload))
 
 
+def allow(cluster: Cluster, namespace: str, user: str, rule: Object) -> None:
+    """Give a user the rights of one more rule in a namespace."""
+    group, name = "rbac.authorization.k8s.io", f"allowed-{user.split(':')[-1].split('@')[0]}"
+    role: Object = {"apiVersion": f"{group}/v1", "kind": "Role", "metadata": {"name": name}}
+    cluster.create({**role, "rules": [rule]}, namespace)
+    subject = {"kind": "User", "name": user, "apiGroup": group}
+    reference = {"apiGroup": group, "kind": "Role", "name": name}
+    cluster.create({**role, "kind": "RoleBinding", "roleRef": reference, "subjects": [subject]}, namespace)
+
+
 def access(cluster: Cluster, namespace: str, workload: str) -> Access:
     """Return the access of a monitor's pod to the API server, with a token of its account."""
     path = cluster.path("v1", "ServiceAccount", namespace, names.monitor_account(workload), "token")
@@ -59,6 +69,19 @@ def gate() -> Object:
     made["metadata"]["annotations"] |= {names.ACTIVE: ACTIVE, names.ACTIVE_UID: "uid-a"}
     made["spec"]["podSelector"]["matchLabels"][names.INSTANCE] = ACTIVE
     return made
+
+
+def until_refused(action: Callable[[], object], words: str, what: str) -> None:
+    """Repeat an action until the API server refuses it with these words: roles and policies take effect once its watches have seen them."""
+
+    def effective() -> bool:
+        try:
+            action()
+        except Refused as error:
+            return words in error.message
+        return False
+
+    until(effective, what)
 
 
 def refusal(action: Callable[[], object]) -> str:

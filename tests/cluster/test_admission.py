@@ -6,7 +6,7 @@ import pytest
 
 from tests.cluster import monitor_accounts
 from tests.cluster.conftest import Release
-from tests.cluster.monitor_accounts import MINE, NOWHERE, OTHER, refusal
+from tests.cluster.monitor_accounts import MINE, NOWHERE, OTHER, allow, refusal, until_refused
 from tests.support.cluster import Cluster, Object, Refused, account, until
 from understudy.api import names
 from understudy.api.base import API_VERSION
@@ -18,17 +18,12 @@ def monitor(cluster: Cluster, release: Release, namespace: str) -> str:
     """The user name of the monitor of MINE, with the rights that the operator gives it; its workload refers to Deployment nav2."""
     user = monitor_accounts.create(cluster, namespace, MINE)
 
-    # Roles and policies take effect once the API server's own watches have seen them.
     probe = _pod(cluster, namespace, "probe", {})
-
-    def effective() -> bool:
-        try:
-            cluster.delete(probe, user=user, dry_run=True)
-        except Refused as error:
-            return "may delete only pods" in error.message
-        return False
-
-    until(effective, "the admission policy to be enforced")
+    until_refused(
+        lambda: cluster.delete(probe, user=user, dry_run=True),
+        "may delete only pods",
+        "the admission policy to be enforced",
+    )
     return user
 
 
@@ -38,33 +33,16 @@ def person(cluster: Cluster, release: Release, namespace: str) -> str:
     name = "person@example.com"
     _may_change_pods(cluster, namespace, name)
     probe = _pod(cluster, namespace, "probe", {})
-
-    def effective() -> bool:
-        try:
-            cluster.patch(probe, {"metadata": {"labels": {names.WORKLOAD: MINE}}}, user=name, dry_run=True)
-        except Refused as error:
-            return "may not change" in error.message
-        return False
-
-    until(effective, "the admission policy of labels to be enforced")
+    until_refused(
+        lambda: cluster.patch(probe, {"metadata": {"labels": {names.WORKLOAD: MINE}}}, user=name, dry_run=True),
+        "may not change",
+        "the admission policy of labels to be enforced",
+    )
     return name
 
 
 def _may_change_pods(cluster: Cluster, namespace: str, user: str) -> None:
-    group, name = "rbac.authorization.k8s.io", f"pods-{user.split(':')[-1].split('@')[0]}"
-    rules = [{"apiGroups": [""], "resources": ["pods", "pods/status"], "verbs": ["*"]}]
-    role: Object = {"apiVersion": f"{group}/v1", "kind": "Role", "metadata": {"name": name}}
-    subject = {"kind": "User", "name": user, "apiGroup": group}
-    cluster.create({**role, "rules": rules}, namespace)
-    cluster.create(
-        {
-            **role,
-            "kind": "RoleBinding",
-            "roleRef": {"apiGroup": group, "kind": "Role", "name": name},
-            "subjects": [subject],
-        },
-        namespace,
-    )
+    allow(cluster, namespace, user, {"apiGroups": [""], "resources": ["pods", "pods/status"], "verbs": ["*"]})
 
 
 @pytest.fixture

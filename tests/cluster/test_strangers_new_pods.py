@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from tests.cluster.conftest import Release
-from tests.cluster.monitor_accounts import ACTIVE, MINE, NOWHERE, OTHER, refusal
-from tests.support.cluster import Cluster, Object, Refused, account, until
+from tests.cluster.monitor_accounts import ACTIVE, MINE, NOWHERE, OTHER, allow, refusal, until_refused
+from tests.support.cluster import Cluster, Object, account, until
 from understudy.api import names
 
 LABELS: dict[str, dict[str, str]] = {
@@ -22,27 +22,19 @@ LABELS: dict[str, dict[str, str]] = {
 def tenant(cluster: Cluster, release: Release, namespace: str) -> str:
     """The name of a user who may create pods and ReplicaSets in the namespace."""
     user = "tenant@example.com"
-    _allow(cluster, namespace, user)
-
-    def effective() -> bool:
-        try:
-            cluster.create(_pod("probe", LABELS["an-instance"]), namespace, user=user, dry_run=True)
-        except Refused as error:
-            return "may not create pod" in error.message
-        return False
-
-    until(effective, "the admission policy of new pods to be enforced")
+    _may_create(cluster, namespace, user)
+    until_refused(
+        lambda: cluster.create(_pod("probe", LABELS["an-instance"]), namespace, user=user, dry_run=True),
+        "may not create pod",
+        "the admission policy of new pods to be enforced",
+    )
     return user
 
 
-def _allow(cluster: Cluster, namespace: str, user: str) -> None:
-    group, name = "rbac.authorization.k8s.io", f"creates-{user.split(':')[-1].split('@')[0]}"
-    role: Object = {"apiVersion": f"{group}/v1", "kind": "Role", "metadata": {"name": name}}
-    rules = [{"apiGroups": ["", "apps"], "resources": ["pods", "replicasets"], "verbs": ["create"]}]
-    cluster.create({**role, "rules": rules}, namespace)
-    subject = {"kind": "User", "name": user, "apiGroup": group}
-    reference = {"apiGroup": group, "kind": "Role", "name": name}
-    cluster.create({**role, "kind": "RoleBinding", "roleRef": reference, "subjects": [subject]}, namespace)
+def _may_create(cluster: Cluster, namespace: str, user: str) -> None:
+    allow(
+        cluster, namespace, user, {"apiGroups": ["", "apps"], "resources": ["pods", "replicasets"], "verbs": ["create"]}
+    )
 
 
 def _pod(name: str, labels: dict[str, str], owner: str = "") -> Object:
@@ -133,7 +125,7 @@ def test_the_operator_creates_instances_and_unclaimed_pods(
 
 def test_the_account_of_a_monitor_creates_no_instance(cluster: Cluster, namespace: str, tenant: str) -> None:
     monitor = account(namespace, names.monitor_account(MINE))
-    _allow(cluster, namespace, monitor)
+    _may_create(cluster, namespace, monitor)
 
     def judged() -> bool:
         message = refusal(lambda: cluster.create(_pod(ACTIVE, LABELS["an-instance"]), namespace, user=monitor))

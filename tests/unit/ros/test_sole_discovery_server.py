@@ -119,12 +119,15 @@ def eventually(holds: object) -> None:
         time.sleep(0.05)
 
 
-def test_a_server_ends_when_the_service_leads_to_another_one_and_starts_when_it_leads_back(hosts: Hosts) -> None:
+def run_a_and_lead_to_b(hosts: Hosts) -> None:
     hosts.lead_to("a")
     hosts.start("a")
     eventually(lambda: hosts.starts("a") == 1)
-
     hosts.lead_to("b")
+
+
+def test_a_server_ends_when_the_service_leads_to_another_one_and_starts_when_it_leads_back(hosts: Hosts) -> None:
+    run_a_and_lead_to_b(hosts)
     hosts.start("b")
     eventually(lambda: hosts.starts("b") == 1)
     assert hosts.ends("a") == 1, "before the other one begins"
@@ -135,10 +138,7 @@ def test_a_server_ends_when_the_service_leads_to_another_one_and_starts_when_it_
 
 
 def test_a_server_ends_for_its_successor_although_the_service_still_leads_it_to_itself(hosts: Hosts) -> None:
-    hosts.lead_to("a")
-    hosts.start("a")
-    eventually(lambda: hosts.starts("a") == 1)
-    hosts.lead_to("b")
+    run_a_and_lead_to_b(hosts)
     hosts.lead_each_to_itself()
     hosts.start("b")
     eventually(lambda: hosts.starts("b") == 1)
@@ -163,10 +163,7 @@ def test_a_server_of_another_workload_does_not_end_it(hosts: Hosts) -> None:
 
 
 def test_a_server_sends_nothing_when_it_ends(hosts: Hosts) -> None:
-    hosts.lead_to("a")
-    hosts.start("a")
-    eventually(lambda: hosts.starts("a") == 1)
-    hosts.lead_to("b")
+    run_a_and_lead_to_b(hosts)
     hosts.start("b")
     eventually(lambda: hosts.starts("b") == 1)
     assert (hosts.ends("a"), hosts.reports("a")) == (1, 0), (

@@ -16,8 +16,8 @@ from understudy.ros.rmw import MIDDLEWARE
 _PORTS = {"discovery": names.DISCOVERY_PORT, "asked": names.DISCOVERY_ASKED_PORT}
 """For participants, and for other servers (ros/dds/sole_server.py)."""
 
-_POD = "/etc/understudy/pod"
-"""Folder of the container with what is known of its pod."""
+_POD, _BESIDE = "/etc/understudy/pod", names.BESIDE.rpartition("/")[2]
+"""Folder of the container with what is known of its pod, and the file in it with the annotation BESIDE."""
 
 _REQUESTS = {"cpu": "10m", "memory": "32Mi"}
 
@@ -92,7 +92,7 @@ def deployment(workload: str, images: Images, address: str) -> Object:
         "env": [
             {"name": "HOME", "value": "/tmp"},
             {"name": names.DISCOVERY_ASKED_VARIABLE, "value": str(names.DISCOVERY_ASKED_PORT)},
-            {"name": names.DISCOVERY_BESIDE_VARIABLE, "value": f"{_POD}/{names.BESIDE.rpartition('/')[2]}"},
+            {"name": names.DISCOVERY_BESIDE_VARIABLE, "value": f"{_POD}/{_BESIDE}"},
         ],
         "ports": [{"name": name, "containerPort": port, "protocol": "UDP"} for name, port in _PORTS.items()],
         "resources": {"requests": dict(_REQUESTS)},
@@ -102,10 +102,7 @@ def deployment(workload: str, images: Images, address: str) -> Object:
             {"name": "pod", "mountPath": _POD, "readOnly": True},
         ],
     }
-    beside = {
-        "path": names.BESIDE.rpartition("/")[2],
-        "fieldRef": {"fieldPath": f"metadata.annotations['{names.BESIDE}']"},
-    }
+    beside = {"path": _BESIDE, "fieldRef": {"fieldPath": f"metadata.annotations['{names.BESIDE}']"}}
     pod: Object = {
         "automountServiceAccountToken": False,
         "terminationGracePeriodSeconds": 2,

@@ -229,7 +229,8 @@ class HealthObserver:
         found: list[OutputSender] = []
         for topic in self.output_topics:
             records = self._watching.records(topic)
-            usual = min((record.interval for record in records.values()), default=math.inf)
+            intervals = {host: record.interval for host, record in records.items()}
+            usual = min(intervals.values(), default=math.inf)
             for host, record in records.items():
                 if record.last is None or host == self.own_host or time.time() - record.last > REMEMBERED:
                     continue
@@ -237,7 +238,7 @@ class HealthObserver:
                 name = senders[0].name if senders else self._nodes_at(host, topic)
                 uid = senders[0].uid if senders else ""
                 may_be = tuple(one.uid for one in senders or unrecognized)
-                interval = record.interval if math.isfinite(record.interval) else usual
+                interval = intervals[host] if math.isfinite(intervals[host]) else usual
                 found.append(OutputSender(topic, name, uid, may_be, record.last, host, interval))
         return found
 
