@@ -82,9 +82,8 @@ class Leaf(Behaviour, ABC):
 
     def reason(self, state: State) -> str:
         """Return in plain words why the leaf is in this state. The text is the same for as long as nothing changes."""
-        reason = one_line(
-            self._plain_reason(state), LONGEST_REASON
-        )  # it may quote a message of the robot, in which anything can be
+        # It may quote a message of the robot, in which anything can be.
+        reason = one_line(self._plain_reason(state), LONGEST_REASON)
         if self.tasks and state == "Failed":
             actions = " and of ".join(dict.fromkeys(task.action for task in self.tasks))
             return f"{reason} while a goal of {actions} is active"
