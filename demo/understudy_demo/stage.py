@@ -98,7 +98,8 @@ class Stage:
             r"operator.podAnnotations.understudy\.dev/image": self._operator_image(),
         }
         name = ours[0]["name"] if ours else RELEASE
-        settings = [word for key, value in values.items() for word in ("--set-string", f"{key}={value}")]
+        settings = ["--set", "allNamespaces=true"]
+        settings += [word for key, value in values.items() for word in ("--set-string", f"{key}={value}")]
         command = ["helm", "upgrade", "--install", name, str(REPOSITORY / "charts" / "understudy"), *settings]
         command += ["--namespace", self.release_namespace, "--create-namespace", "--wait", "--timeout", "180s"]
         run(command, self.environment, timeout=240)

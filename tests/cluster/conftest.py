@@ -198,6 +198,7 @@ def _install(cluster: Cluster, helm: str, kubeconfig: Path, release: Release) ->
     there = _helm(helm, kubeconfig, "status", NAME).returncode == 0
     values = ["--reset-then-reuse-values"] if there else ["--set", "operator.replicas=0"]
     # The operators and monitors of these tests run outside the cluster, with the rights of the tests or of another release.
+    values += ["--set", "allNamespaces=true"]
     values += ["--set", f"admission.labelWriters={{{cluster.user},{CONFINED.user}}}"]
     done = _helm(
         helm, kubeconfig, "upgrade", "--install", NAME, chart, "--create-namespace", "--take-ownership", *values

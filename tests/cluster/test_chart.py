@@ -18,12 +18,12 @@ PRODUCTION = CHART / "production.yaml"
 @pytest.mark.parametrize(
     "arguments",
     [
-        (),
+        ("--set", "allNamespaces=true"),
         ("--values", str(PRODUCTION), "--set", "watchNamespaces={default}"),
         ("--set", "watchNamespaces={default}"),
-        ("--set", "metrics.dashboards.enabled=true", "--set", "admission.enabled=false", "--set", "crds.keep=false"),
+        ("--set", "allNamespaces=true", "--set", "metrics.dashboards.enabled=true", "--set", "admission.enabled=false", "--set", "crds.keep=false"),
     ],
-    ids=["as-it-is", "production", "named-namespaces", "other-parts"],
+    ids=["all-namespaces", "production", "named-namespaces", "other-parts"],
 )
 def test_every_object_is_accepted_strictly(
     release: Release, helm: str, kubeconfig: Path, arguments: tuple[str, ...]

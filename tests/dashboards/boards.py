@@ -30,7 +30,7 @@ def rendered() -> dict[str, Object]:
         "--kube-version",
         "1.34",
         "--set",
-        "metrics.dashboards.enabled=true",
+        "metrics.dashboards.enabled=true,allNamespaces=true",
     ]
     text = subprocess.run(command, check=True, capture_output=True, text=True, timeout=60).stdout
     found: dict[str, Object] = {}

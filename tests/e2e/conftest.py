@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import pytest
+import yaml
 
 from tests.e2e.faults import ApiServer, Network, Stage, cluster, staying
 from tests.e2e.kubectl import Failed, Kubectl, helm
@@ -84,10 +85,12 @@ def install(kubeconfig: Path, chart: Path = CHART, *arguments: str, images: str 
     restricted = {"pod-security.kubernetes.io/enforce": "restricted"}
     system.apply([{"apiVersion": "v1", "kind": "Namespace", "metadata": {"name": SYSTEM, "labels": restricted}}])
     values = images or os.environ.get("UNDERSTUDY_HELM_SET", IMAGES)
+    # The chart of an earlier version watches all namespaces, and refuses a value that it does not know.
+    wide = "allNamespaces" in yaml.safe_load((chart / "values.yaml").read_text())
     rolled = f"operator.podAnnotations.rolled-out={time.time():.0f}"
     helm(
         kubeconfig, "upgrade", "--install", "understudy", str(chart), "--namespace", SYSTEM,
-        *arguments, "--set", values, "--set-string", rolled, "--wait", "--timeout", "180s",
+        *arguments, "--set", values, *(["--set", "allNamespaces=true"] if wide else []), "--set-string", rolled, "--wait", "--timeout", "180s",
     )  # fmt: skip
     return system
 

@@ -24,7 +24,9 @@ def run(helm: str) -> Run:
     def template(
         *settings: str, release: str = "understudy", tests: bool = False, values: Path | None = None
     ) -> subprocess.CompletedProcess[str]:
+        named = values or any(setting.startswith("watchNamespaces=") for setting in settings)
         words = [word for setting in settings for word in ("--set", setting)]
+        words += [] if named else ["--set", "allNamespaces=true"]
         words += ["--values", str(values)] if values else []
         words += [] if tests else ["--skip-tests"]
         command = [helm, "template", release, str(CHART), "--namespace", "system", "--kube-version", "1.34", *words]

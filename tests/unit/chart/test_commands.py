@@ -35,6 +35,8 @@ def rendering(line: str) -> list[str]:
             next(words)
         elif word not in ALONE:
             kept.append(word)
+        elif word == "--reuse-values":
+            kept += ["--set", "allNamespaces=true"]
     return kept
 
 
@@ -57,7 +59,7 @@ def test_the_pages_contain_helm_commands() -> None:
 
 
 def test_an_unknown_value_is_refused(helm: str) -> None:
-    line = "helm install understudy charts/understudy --set monitors.rollout=10"
+    line = "helm install understudy charts/understudy --set allNamespaces=true,monitors.rollout=10"
     done = subprocess.run(
         [helm, "template", *rendering(line)], cwd=REPOSITORY, capture_output=True, text=True, timeout=60
     )
