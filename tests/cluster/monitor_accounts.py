@@ -14,6 +14,7 @@ from tests.support.cluster import Cluster, Object, Refused, account, until
 from understudy.api import names
 from understudy.controller.desired import monitor_deployment
 from understudy.kube.client import Access
+from understudy.kube.gates.base import Reach
 from understudy.kube.gates.kinds.network_policy import GATE
 
 MINE, OTHER = "robot-17", "robot-18"
@@ -64,7 +65,7 @@ def access(cluster: Cluster, namespace: str, workload: str) -> Access:
 
 def gate() -> Object:
     """Return the gate of MINE at epoch 7, open for ACTIVE."""
-    made = GATE.closed(MINE, epoch=7)
+    made = GATE.closed(MINE, Reach(), epoch=7)
     made["metadata"] |= {"labels": {"app.kubernetes.io/managed-by": "understudy"}, "ownerReferences": [OWNER]}
     made["metadata"]["annotations"] |= {names.ACTIVE: ACTIVE, names.ACTIVE_UID: "uid-a"}
     made["spec"]["podSelector"]["matchLabels"][names.INSTANCE] = ACTIVE

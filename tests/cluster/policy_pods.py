@@ -20,7 +20,7 @@ from tests.support.cluster import Cluster, Object, until
 REPOSITORY = Path(__file__).resolve().parents[2]
 TABLE = REPOSITORY / "testcluster" / "local" / "netpol" / "conformance" / "cases.yaml"
 AGENT = Path(__file__).with_name("policy_agent.py")
-PORTS = (1, 80, 1000, 7949, 7950, 8000, 8080, 8149, 8150, 9090, 65535)
+PORTS = (1, 53, 80, 1000, 7949, 7950, 8000, 8080, 8149, 8150, 8950, 9090, 9108, 11811, 65535)
 
 Flow = tuple[str, str, str, int]  # from, to, protocol, port
 

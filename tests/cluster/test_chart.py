@@ -21,7 +21,16 @@ PRODUCTION = CHART / "production.yaml"
         ("--set", "allNamespaces=true"),
         ("--values", str(PRODUCTION), "--set", "watchNamespaces={default}"),
         ("--set", "watchNamespaces={default}"),
-        ("--set", "allNamespaces=true", "--set", "metrics.dashboards.enabled=true", "--set", "admission.enabled=false", "--set", "crds.keep=false"),
+        (
+            "--set",
+            "allNamespaces=true",
+            "--set",
+            "metrics.dashboards.enabled=true",
+            "--set",
+            "admission.enabled=false",
+            "--set",
+            "crds.keep=false",
+        ),
     ],
     ids=["all-namespaces", "production", "named-namespaces", "other-parts"],
 )

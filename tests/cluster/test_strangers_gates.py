@@ -14,7 +14,7 @@ from tests.cluster.operators import NETWORK, Fleet, Operator, policy, workload
 from tests.support.cluster import Cluster, Object, Refused, until
 from understudy.api import names
 from understudy.kube.client import ApiError, Client
-from understudy.kube.gates.base import GateRecord
+from understudy.kube.gates.base import GateRecord, Reach
 from understudy.kube.gates.kinds.network_policy import GATE
 
 
@@ -171,8 +171,8 @@ def _may_patch_all_policies(cluster: Cluster, namespace: str, user: str) -> None
 def test_a_monitor_writes_no_other_policy_whatever_its_role_says(
     cluster: Cluster, namespace: str, compromised_monitor: str
 ) -> None:
-    ((_, standby),) = GATE.companions(MINE, [], None)
-    others = [cluster.create(GATE.closed(OTHER, epoch=7), namespace), cluster.create(standby, namespace)]
+    ((_, standby),) = GATE.companions(MINE, Reach())
+    others = [cluster.create(GATE.closed(OTHER, Reach(), epoch=7), namespace), cluster.create(standby, namespace)]
     body = _record(overtaken="r")
     for other in others:
         assert "cannot patch resource" in refusal(
@@ -213,7 +213,8 @@ def test_the_operator_restores_a_gate_that_somebody_opened_for_further_pods(flee
     fleet.create(policy("Restart"), workload())
     gate = until(lambda: fleet.find("NetworkPolicy", names.gate("w"), NETWORK), "the gate")
     commit = GATE.commitment("w", over=GateRecord.of(gate), active="w-a", active_uid="uid-a")
-    selector = fleet.cluster.patch(gate, commit)["spec"]["podSelector"]
+    committed = fleet.cluster.patch(gate, commit)["spec"]
+    selector, rules = committed["podSelector"], committed["egress"]
     for edit in (
         {"podSelector": {"matchLabels": None}},
         {"podSelector": {"matchLabels": {names.INSTANCE: None}}},
@@ -221,7 +222,7 @@ def test_the_operator_restores_a_gate_that_somebody_opened_for_further_pods(flee
     ):
         fleet.cluster.patch(gate, {"spec": edit})
         until(lambda: fleet.gate()["spec"]["podSelector"] == selector, f"the selector after {edit}", seconds=10)
-    until(lambda: fleet.gate()["spec"]["egress"] == [{}], "the rules", seconds=10)
+    until(lambda: fleet.gate()["spec"]["egress"] == rules, "the rules", seconds=10)
     assert GateRecord.of(fleet.gate()).epoch == 1
 
 

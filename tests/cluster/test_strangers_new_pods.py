@@ -8,6 +8,7 @@ from tests.cluster.conftest import Release
 from tests.cluster.monitor_accounts import ACTIVE, MINE, NOWHERE, OTHER, allow, refusal, until_refused
 from tests.support.cluster import Cluster, Object, account, until
 from understudy.api import names
+from understudy.controller import plan
 
 LABELS: dict[str, dict[str, str]] = {
     "the-active-instance": {names.WORKLOAD: MINE, names.INSTANCE: ACTIVE},
@@ -15,6 +16,7 @@ LABELS: dict[str, dict[str, str]] = {
     "an-instance-of-nobody": {names.INSTANCE: ACTIVE},
     "a-standby": {names.WORKLOAD: MINE, names.POOL: "hot", "app": "nav"},
     "an-unclaimed-pod": {names.POOL: "spare", names.HELD: "true"},
+    "a-monitor": {names.COMPONENT: "monitor", names.MONITORED: MINE},
 }
 
 
@@ -63,10 +65,8 @@ def test_a_tenant_creates_no_pod_that_counts_as_an_instance(
 ) -> None:
     for owner in ("", MINE):
         message = refusal(lambda owner=owner: cluster.create(_pod(ACTIVE, labels, owner), namespace, user=tenant))  # type: ignore[misc]
-        assert (
-            f"{tenant} may not create pod {namespace}/{ACTIVE} with {', '.join(key for key in labels if key != 'app')}"
-            in message
-        )
+        named = ", ".join(key for key in labels if key not in ("app", names.COMPONENT))
+        assert f"{tenant} may not create pod {namespace}/{ACTIVE} with {named}:" in message
 
 
 @pytest.mark.parametrize(
@@ -111,6 +111,17 @@ def test_a_tenant_creates_other_pods(cluster: Cluster, namespace: str, tenant: s
 def test_the_replica_set_of_a_workload_creates_its_instances(cluster: Cluster, namespace: str, tenant: str) -> None:
     labels = {names.WORKLOAD: MINE, names.SOURCE: "workload", names.COMPONENT: "instance", names.TEMPLATE_HASH: "1"}
     cluster.create(_replica_set(MINE, labels), namespace)
+    (pod,) = until(lambda: cluster.list("v1", "Pod", namespace), "its pod")
+    assert labels.items() <= pod["metadata"]["labels"].items()
+
+
+@pytest.mark.parametrize("name", [names.monitor(MINE), names.discovery(MINE)])
+def test_a_deployment_of_the_operator_creates_monitors_and_discovery_servers(
+    cluster: Cluster, namespace: str, release: Release, tenant: str, name: str
+) -> None:
+    labels = {names.COMPONENT: name.rpartition("-")[2], names.MONITORED: MINE}
+    deployment = plan.deployment(name, labels, {}, NOWHERE)
+    cluster.create(deployment, namespace, user=account(release.namespace, release.operator))
     (pod,) = until(lambda: cluster.list("v1", "Pod", namespace), "its pod")
     assert labels.items() <= pod["metadata"]["labels"].items()
 

@@ -28,6 +28,9 @@ IMAGES = (
     "images.monitor.repository=localhost/understudy-monitor,images.monitor.tag=dev"
 )
 
+WIDE = ["--set", "allNamespaces=true", "--set-json", 'metrics.from=[{"ipBlock": {"cidr": "0.0.0.0/0"}}]']
+"""Values for all namespaces, and for a Prometheus outside the cluster."""
+
 NOT_AGAIN = ["^Never: "]
 """A test that fails is run once more, and said to have been: the machine is busy. What may never be at a robot is red at once."""
 
@@ -90,7 +93,7 @@ def install(kubeconfig: Path, chart: Path = CHART, *arguments: str, images: str 
     rolled = f"operator.podAnnotations.rolled-out={time.time():.0f}"
     helm(
         kubeconfig, "upgrade", "--install", "understudy", str(chart), "--namespace", SYSTEM,
-        *arguments, "--set", values, *(["--set", "allNamespaces=true"] if wide else []), "--set-string", rolled, "--wait", "--timeout", "180s",
+        *arguments, "--set", values, *(WIDE if wide else []), "--set-string", rolled, "--wait", "--timeout", "180s",
     )  # fmt: skip
     return system
 

@@ -214,6 +214,11 @@ def monitor_account(workload: str) -> str:
     return f"{workload}{MONITOR_ACCOUNT_ENDING}"
 
 
+def control_plane(workload: str) -> str:
+    """Name of the network policy of the monitor and the managed discovery server."""
+    return f"{workload}-control-plane"
+
+
 def discovery(workload: str) -> str:
     """Name of the managed discovery server's Deployment and Service."""
     return f"{workload}-discovery"

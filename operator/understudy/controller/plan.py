@@ -87,6 +87,8 @@ class Images:
     """Names of the pull Secrets in the namespace of the workload."""
     priority_class: str = ""
     """PriorityClass of monitors and discovery servers. It does not apply to agents, which run in the user's pods."""
+    metrics_from: tuple[Object, ...] = ()
+    """Who may read the metrics of monitors, as the peers of a NetworkPolicy; nobody by default."""
 
 
 def variables(environment: Mapping[str, str]) -> list[Object]:

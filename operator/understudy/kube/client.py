@@ -166,6 +166,7 @@ POD_METRICS = Resource("metrics.k8s.io", "v1beta1", "pods")
 _AGGREGATED = f"/apis/{POD_METRICS.group}/"
 """Paths that another server answers, behind the API server. Its answers and its silence say nothing about the API server."""
 SERVICES = Resource("", "v1", "services")
+ENDPOINT_SLICES = Resource("discovery.k8s.io", "v1", "endpointslices")
 CONFIG_MAPS = Resource("", "v1", "configmaps")
 SECRETS = Resource("", "v1", "secrets")
 SERVICE_ACCOUNTS = Resource("", "v1", "serviceaccounts")

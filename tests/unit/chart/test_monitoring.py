@@ -89,7 +89,11 @@ def _sole_driver(uid: str, active: str = "w-1") -> ConditionReport:
 
 
 def test_the_pod_monitor_selects_every_monitor_and_labels_it_with_its_workload(render: Render) -> None:
-    watching = one(render("metrics.podMonitors.enabled=true"), "PodMonitor", "understudy-monitors")["spec"]
+    watching = one(
+        render("metrics.podMonitors.enabled=true,metrics.from[0].podSelector.matchLabels.app=prometheus"),
+        "PodMonitor",
+        "understudy-monitors",
+    )["spec"]
     assert watching["selector"]["matchLabels"].items() <= monitor_deployment.labels("w").items()
     (relabelled,) = watching["podMetricsEndpoints"][0]["relabelings"]
     discovered = re.sub(r"[^a-zA-Z0-9_]", "_", names.MONITORED)

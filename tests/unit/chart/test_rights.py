@@ -11,7 +11,7 @@ from tests.unit.chart.conftest import Render, one
 from understudy.controller.desired import monitor_deployment
 from understudy.controller.reconcile.executor import RESIZE
 from understudy.controller.runtime import kopf_handlers, resync, watches
-from understudy.kube.client import EVENTS, LEASES, NODES, PODS, POLICIES, POOLS, WORKLOADS, Resource
+from understudy.kube.client import ENDPOINT_SLICES, EVENTS, LEASES, NODES, PODS, POLICIES, POOLS, WORKLOADS, Resource
 
 Right = tuple[str, str, str]
 """API group, resource and verb."""
@@ -37,7 +37,7 @@ def _each(resource: Resource, *verbs: str) -> set[Right]:
 def held(render: Render) -> set[Right]:
     """What the operator's ClusterRole holds."""
     role = one(render(), "ClusterRole", "understudy-operator")
-    assert not any("resourceNames" in rule for rule in role["rules"])
+    assert [rule["resources"] for rule in role["rules"] if "resourceNames" in rule] == [[ENDPOINT_SLICES.plural]]
     return _rights(role["rules"])
 
 
@@ -68,6 +68,7 @@ def _used() -> set[Right]:
     found |= _each(EVENTS, "create", "patch")
     found.add(("", f"{PODS.plural}/{RESIZE}", "patch"))
     found |= {("apps", resource, "get") for resource in ("deployments", "statefulsets")}
+    found |= _each(ENDPOINT_SLICES, "get")
     found |= {("apiextensions.k8s.io", "customresourcedefinitions", verb) for verb in ("list", "watch")}
     return found
 

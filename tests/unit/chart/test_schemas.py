@@ -31,6 +31,7 @@ ALL_VALUES = (
     "images.monitorPullSecrets[0].name=registry",
     "images.pullSecrets[0].name=registry",
     "metrics.dashboards.enabled=true",
+    "metrics.from[0].podSelector.matchLabels.app=prometheus",
     "metrics.podMonitors.enabled=true",
     "metrics.rules.enabled=true",
     "monitors.priorityClassName=high",

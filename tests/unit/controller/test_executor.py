@@ -24,7 +24,7 @@ from understudy.kube.client import (
     Object,
     Resource,
 )
-from understudy.kube.gates.base import GateRecord
+from understudy.kube.gates.base import GateRecord, Reach
 from understudy.kube.gates.kinds.network_policy import GATE
 
 KEY = Key(WORKLOADS.plural, "fleet", "w")
@@ -66,7 +66,7 @@ async def test_an_object_of_another_owner_is_not_changed() -> None:
 
 async def test_a_repair_of_a_gate_does_not_undo_a_commit_that_came_first() -> None:
     client = MemoryClient()
-    gate = client.store(NETWORK_POLICIES, "fleet", GATE.closed("w", epoch=3))
+    gate = client.store(NETWORK_POLICIES, "fleet", GATE.closed("w", Reach(), epoch=3))
     commit = GATE.commitment("w", over=GateRecord.of(gate), active="w-a", active_uid="uid-a")
     await GATE.write(client, "fleet", "w", commit)
     repair = GATE.routing("w", "")

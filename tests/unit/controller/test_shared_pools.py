@@ -255,13 +255,15 @@ def test_held_containers_wait_without_probes() -> None:
     assert "ROS_DOMAIN_ID" not in json.dumps(pod["spec"])
 
 
-def test_only_the_agent_port_of_an_unclaimed_pod_is_reachable() -> None:
+def test_only_monitors_reach_the_agent_of_an_unclaimed_pod() -> None:
     policy = applied(plan(observe(spare())), "networkpolicies")["spare-held"]
     assert policy["spec"]["podSelector"]["matchLabels"] == {names.POOL: "spare", names.HELD: "true"}
     assert policy["spec"]["policyTypes"] == ["Ingress", "Egress"]
     assert "egress" not in policy["spec"]
-    ports = [port["port"] for port in policy["spec"]["ingress"][0]["ports"]]
-    assert ports == [names.AGENT_PORT, names.AGENT_HEALTH_PORT]
+    control, health = policy["spec"]["ingress"]
+    assert [port["port"] for port in control["ports"]] == [names.AGENT_PORT]
+    assert control["from"] == [{"podSelector": {"matchLabels": {names.COMPONENT: "monitor"}}}]
+    assert health == {"ports": [{"protocol": "TCP", "port": names.AGENT_HEALTH_PORT}]}
 
 
 def test_a_copied_template_loses_the_labels_that_the_source_controller_selects() -> None:

@@ -38,7 +38,7 @@ def test_every_object_of_a_workload_is_created() -> None:
     world = World(workload(), policy("hot", "Restart"), hot())
     plan = world.plan()
     assert set(applied(plan, "replicasets")) == {"w"}
-    assert set(applied(plan, "networkpolicies")) == {"w-standby"}
+    assert set(applied(plan, "networkpolicies")) == {"w-standby", "w-control-plane"}
     assert [kube_objects.name(body) for body in created(plan, "networkpolicies")] == ["w-gate"]
     assert set(applied(plan, "configmaps")) == {"w-robot-env", "w-robot-profiles", "w-instance-profiles", "w-settings"}
     assert set(applied(plan, "deployments")) == {"w-monitor", "w-discovery"}
@@ -132,7 +132,8 @@ class TestGate:
         broken["metadata"]["labels"] = {}
         world.own(broken)
         patch = patched(world.plan(), "networkpolicies")["w-gate"]
-        assert patch["spec"] == {"policyTypes": ["Egress"], "egress": [{}], "ingress": None}
+        rules = gate(world.workload, active=active, epoch=41)["spec"]["egress"]
+        assert patch["spec"] == {"policyTypes": ["Egress"], "egress": rules, "ingress": None}
         assert "podSelector" not in patch["spec"]
         assert set(patch["metadata"]) == {"labels"}
 

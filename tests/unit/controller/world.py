@@ -192,9 +192,10 @@ def claimed_pod(name: str, *, of: Object, by: Object, **more: Any) -> Object:
 def gate(of: Object, *, active: Object | None = None, epoch: int = 0) -> Object:
     from understudy.controller.observed import ownership
     from understudy.kube.gates import registry
+    from understudy.kube.gates.base import Reach
 
     made = ownership.ours(
-        registry.of(of).closed(kube_objects.name(of), epoch=epoch), kube_objects.owner("RobotWorkload", of), of
+        registry.of(of).closed(kube_objects.name(of), Reach(), epoch=epoch), kube_objects.owner("RobotWorkload", of), of
     )
     made["metadata"] |= {"uid": "uid-gate", "resourceVersion": "20"}
     if active is not None:

@@ -11,7 +11,7 @@ from understudy.api import names
 from understudy.api.kinds.robot_workload import Gate
 from understudy.kube.client import ApiError, Object
 from understudy.kube.gates import registry
-from understudy.kube.gates.base import GateKind, GateRecord
+from understudy.kube.gates.base import GateKind, GateRecord, Reach
 from understudy.kube.gates.kinds.network_policy import GATE
 
 OWNER = {"apiVersion": f"{names.GROUP}/v1alpha1", "kind": "RobotWorkload", "name": "w", "uid": "uid-w"}
@@ -26,7 +26,7 @@ class Opened:
         self.kind, self.client = kind, MemoryClient()
 
     async def create(self, epoch: int = 0) -> None:
-        await self.client.create(self.kind.resource, "fleet", self.kind.closed("w", epoch=epoch))
+        await self.client.create(self.kind.resource, "fleet", self.kind.closed("w", Reach(), epoch=epoch))
 
     async def read(self) -> Object:
         return await self.client.get(self.kind.resource, "fleet", names.gate("w"))
@@ -123,12 +123,12 @@ async def test_repair_restores_owner_and_labels_and_keeps_control(kind: GateKind
     gate = Opened(kind)
     await gate.create()
     await gate.commit("a")
-    patch = kind.repair(await gate.read(), owner=OWNER, labels={"app": "w"})
+    patch = kind.repair(await gate.read(), Reach(), owner=OWNER, labels={"app": "w"})
     assert patch is not None
     repaired = await gate.client.patch(kind.resource, "fleet", names.gate("w"), patch)
     assert (repaired["metadata"]["ownerReferences"], repaired["metadata"]["labels"]["app"]) == ([OWNER], "w")
     assert (GateRecord.of(repaired).active, kind.let_through(repaired)) == ("a", ("a",))
-    assert kind.repair(repaired, owner=OWNER, labels={"app": "w"}) is None
+    assert kind.repair(repaired, Reach(), owner=OWNER, labels={"app": "w"}) is None
 
 
 @every_kind
@@ -137,25 +137,79 @@ def test_a_monitor_may_change_only_its_own_gate(kind: GateKind) -> None:
         assert "patch" not in rule["verbs"] or rule["resourceNames"] == [names.gate("w")]
 
 
-def test_instances_reach_everything_except_gated_ports_and_each_other() -> None:
-    ((_, found),) = GATE.companions("w", ["192.168.7.0/24"], None)
-    spec = found["spec"]
-    assert spec["podSelector"] == {"matchLabels": {names.WORKLOAD: "w"}}
-    assert [(p["protocol"], p["port"], p["endPort"]) for p in spec["egress"][0]["ports"]] == [
-        ("TCP", 1, 65535),
-        ("UDP", 1, 7949),
-        ("UDP", 8150, 65535),
+OTHERS = [{"key": names.WORKLOAD, "operator": "NotIn", "values": ["w"]}]
+PROTECTORS = {"podSelector": {"matchLabels": {names.MONITORED: "w"}}}
+ROBOT = {"ipBlock": {"cidr": "192.168.7.0/24"}}
+GATED = [{"protocol": "UDP", "port": 7950, "endPort": 8149}]
+
+
+def _standby(reach: Reach) -> Object:
+    ((_, found),) = GATE.companions("w", reach)
+    assert found["spec"]["podSelector"] == {"matchLabels": {names.WORKLOAD: "w"}}
+    spec: Object = found["spec"]
+    return spec
+
+
+def _ranges(rule: Object) -> list[tuple[str, int, int]]:
+    return [(one["protocol"], one["port"], one.get("endPort", one["port"])) for one in rule["ports"]]
+
+
+def test_instances_reach_pods_of_their_own_namespace_except_gated_ports_and_each_other() -> None:
+    spec = _standby(Reach(robots=("192.168.7.0/24",)))
+    there, names_, *more = spec["egress"]
+    assert there["to"] == [{"podSelector": {"matchExpressions": OTHERS}}, ROBOT, PROTECTORS]
+    assert _ranges(there) == [("TCP", 1, 65535), ("UDP", 1, 7949), ("UDP", 8150, 65535)]
+    assert ("to" in names_, {port for _, port, _ in _ranges(names_)}) == (False, {53, 5353})
+    assert not more
+
+
+def test_only_its_monitor_reaches_the_agent_of_an_instance() -> None:
+    application, protectors = _standby(Reach())["ingress"]
+    assert application["from"] == [{"podSelector": {"matchExpressions": OTHERS}}]
+    assert _ranges(application) == [("TCP", 1, 8949), ("TCP", 8951, 65535), ("UDP", 1, 65535)]
+    assert protectors == {"from": [PROTECTORS]}
+
+
+def test_the_gate_opens_the_gated_ports_of_the_same_peers_and_nothing_else() -> None:
+    reach = Reach(robots=("192.168.7.0/24",))
+    spec = GATE.closed("w", reach, epoch=0)["spec"]
+    (rule,) = spec["egress"]
+    assert (spec["policyTypes"], rule["ports"]) == (["Egress"], GATED)
+    assert rule["to"] == _standby(reach)["egress"][0]["to"]
+
+
+def test_peers_in_other_namespaces_never_include_instances_of_the_workload() -> None:
+    peers = (
+        {"namespaceSelector": {}, "podSelector": {"matchLabels": {"app": "base"}}},
+        {"namespaceSelector": {"matchLabels": {"team": "robots"}}},
+        {"podSelector": {"matchExpressions": [{"key": "app", "operator": "Exists"}]}},
+    )
+    to = _standby(Reach(peers=peers))["egress"][0]["to"]
+    assert to == [
+        {"namespaceSelector": {}, "podSelector": {"matchLabels": {"app": "base"}, "matchExpressions": OTHERS}},
+        {"namespaceSelector": {"matchLabels": {"team": "robots"}}, "podSelector": {"matchExpressions": OTHERS}},
+        {"podSelector": {"matchExpressions": [{"key": "app", "operator": "Exists"}, *OTHERS]}},
+        PROTECTORS,
     ]
-    pods, robot = spec["egress"][0]["to"]
-    assert pods["namespaceSelector"] == {}
-    assert pods["podSelector"]["matchExpressions"] == [{"key": names.WORKLOAD, "operator": "NotIn", "values": ["w"]}]
-    assert robot == {"ipBlock": {"cidr": "192.168.7.0/24"}}
-    assert "ports" not in spec["ingress"][0]
 
 
-def test_the_policy_of_the_gate_allows_all_that_the_selected_pod_sends() -> None:
-    spec = GATE.closed("w", epoch=0)["spec"]
-    assert (spec["policyTypes"], spec["egress"]) == (["Egress"], [{}])
+def test_instances_of_a_reference_without_labels_are_no_peers_of_each_other() -> None:
+    reach = Reach(reference={"matchLabels": {"app": "nav", "tier": "a"}})
+    (_, standby), (_, referred) = GATE.companions("w", reach)
+    assert referred["spec"]["podSelector"] == {"matchLabels": {"app": "nav", "tier": "a"}}
+    for spec in (standby["spec"], referred["spec"], GATE.closed("w", reach, epoch=0)["spec"]):
+        *peers, protectors = spec["egress"][0]["to"]
+        assert protectors == PROTECTORS
+        assert [peer["podSelector"]["matchExpressions"] for peer in peers] == [
+            [*OTHERS, {"key": "app", "operator": "NotIn", "values": ["nav"]}],
+            [*OTHERS, {"key": "tier", "operator": "NotIn", "values": ["a"]}],
+        ]
+
+
+def test_instances_reach_the_api_server_if_their_agents_ask_it() -> None:
+    *_, first, second = _standby(Reach(apiservers=(("10.0.0.1", 443), ("fd00::1", 6443))))["egress"]
+    assert first == {"to": [{"ipBlock": {"cidr": "10.0.0.1/32"}}], "ports": [{"protocol": "TCP", "port": 443}]}
+    assert second == {"to": [{"ipBlock": {"cidr": "fd00::1/128"}}], "ports": [{"protocol": "TCP", "port": 6443}]}
 
 
 SELECTORS: dict[str, Object] = {
@@ -184,13 +238,13 @@ async def test_a_selector_that_no_commit_writes_is_restored_from_the_record(
     if admitted:
         before = await gate.admit(admitted)
     edited = {**before, "spec": {**before["spec"], "podSelector": selector, "egress": []}}
-    patch = GATE.repair(edited, owner=OWNER, labels={})
+    patch = GATE.repair(edited, Reach(), owner=OWNER, labels={})
     assert patch is not None
     gate.client.store(GATE.resource, "fleet", edited)
     repaired = await gate.write(patch)
     assert repaired["spec"] == before["spec"]
     assert repaired["metadata"]["annotations"] == before["metadata"]["annotations"]
-    assert GATE.repair(repaired, owner=OWNER, labels={}) is None
+    assert GATE.repair(repaired, Reach(), owner=OWNER, labels={}) is None
     assert GATE.let_through(repaired) == tuple(name for name in (active, admitted) if name)
 
 
@@ -204,32 +258,33 @@ async def test_whom_a_gate_names_is_left_to_the_monitor() -> None:
         labels = {key: value for key, value in selector["matchLabels"].items() if value}
         edited = {**committed, "spec": {**committed["spec"], "podSelector": {**selector, "matchLabels": labels}}}
         assert not GATE.malformed(edited, "w")
-        assert "spec" not in (GATE.repair(edited, owner=OWNER, labels={}) or {})
+        assert "spec" not in (GATE.repair(edited, Reach(), owner=OWNER, labels={}) or {})
 
 
 def test_a_record_that_names_a_standby_and_nobody_in_control_lets_nobody_through() -> None:
-    gate = GATE.closed("w", epoch=3)
+    gate = GATE.closed("w", Reach(), epoch=3)
     gate["metadata"] |= {"resourceVersion": "1"}
     gate["metadata"]["annotations"] |= {names.ADMITTED: "b", names.ADMITTED_UID: "uid-b"}
     gate["spec"]["podSelector"] = {}
-    patch = GATE.repair(gate, owner=OWNER, labels={})
+    patch = GATE.repair(gate, Reach(), owner=OWNER, labels={})
     assert patch is not None
     assert patch["spec"]["podSelector"]["matchLabels"] == {names.WORKLOAD: "w", names.INSTANCE: names.GATE_CLOSED}
 
 
 @pytest.mark.parametrize("text", ["²", "9" * 5000, "-1", "soon", ""])
 def test_an_epoch_that_is_no_number_counts_as_none(text: str) -> None:
-    gate = GATE.closed("w", epoch=3)
+    gate = GATE.closed("w", Reach(), epoch=3)
     gate["metadata"] |= {"resourceVersion": "1"}
     gate["metadata"]["annotations"] |= {names.EPOCH: text, names.FENCED: text}
     record = GateRecord.of(gate)
     assert (record.epoch, record.fenced) == (0, 0)
 
 
-@pytest.mark.parametrize("wrong", [{"egress": []}, {"policyTypes": ["Ingress"]}, {"ingress": [{}]}])
+@pytest.mark.parametrize("wrong", [{"egress": []}, {"egress": [{}]}, {"policyTypes": ["Ingress"]}, {"ingress": [{}]}])
 def test_rules_that_somebody_changed_are_restored(wrong: Object) -> None:
-    gate = GATE.closed("w", epoch=0)
+    gate = GATE.closed("w", Reach(), epoch=0)
     gate["spec"] |= wrong
-    patch = GATE.repair(gate, owner=OWNER, labels={})
+    patch = GATE.repair(gate, Reach(), owner=OWNER, labels={})
     assert patch is not None
-    assert patch["spec"] == {"policyTypes": ["Egress"], "egress": [{}], "ingress": None}
+    right = GATE.closed("w", Reach(), epoch=0)["spec"]
+    assert patch["spec"] == {"policyTypes": ["Egress"], "egress": right["egress"], "ingress": None}

@@ -18,7 +18,7 @@ from understudy.failover import pinned
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import CONFIG_MAPS, PODS, POLICIES, WORKLOADS, Object
-from understudy.kube.gates.base import GateKind
+from understudy.kube.gates.base import GateKind, Reach
 from understudy.monitor.act.objects.cluster import Cluster
 from understudy.monitor.act.objects.gate_control import GateControl
 from understudy.monitor.act.objects.pod_control import EVICTION, PodControl
@@ -104,7 +104,7 @@ def pod_of(instance: Instance, workload: str = "w") -> Object:
 
 def gate_object(kind: GateKind, workload: str, state: GateState) -> Object:
     """Return a gate object in a state."""
-    found = kind.closed(workload, epoch=state.epoch)
+    found = kind.closed(workload, Reach(), epoch=state.epoch)
     merge(found, kind.routing(workload, state.active, state.admitted))
     found["metadata"]["annotations"] = {
         names.EPOCH: str(state.epoch),

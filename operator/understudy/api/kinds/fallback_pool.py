@@ -10,6 +10,7 @@ from pydantic import Field
 
 from understudy.api.base import Duration, Model, ObjectName, Percentage, UnknownContent, matching, with_rules
 from understudy.api.conditions import Conditions, Time
+from understudy.api.kinds.label_selector import LabelSelector
 from understudy.api.kinds.pod_template import pod_template
 from understudy.api.kinds.procedure_spec import Check, Procedure
 
@@ -80,34 +81,6 @@ WarmPath = Annotated[
     matching(WARM_PATH_PATTERN, "write the absolute path of a file or folder, such as /opt/app", max_length=1024),
 ]
 """A file or folder in the containers."""
-
-
-@with_rules(
-    (
-        "self.operator in ['In', 'NotIn'] ? has(self.values) && size(self.values) > 0 "
-        ": !has(self.values) || size(self.values) == 0",
-        "values are required for the operators In and NotIn, and not allowed for others",
-        ".values",
-    ),
-)
-class LabelSelectorRequirement(Model):
-    """One expression of a label selector."""
-
-    key: str = Field(min_length=1, max_length=317)
-    """Label key."""
-    operator: Literal["In", "NotIn", "Exists", "DoesNotExist"]
-    """In, NotIn, Exists or DoesNotExist."""
-    values: list[Annotated[str, Field(max_length=63)]] | None = Field(default=None, max_length=64)
-    """Values. Only for the operators In and NotIn."""
-
-
-class LabelSelector(Model):
-    """A label selector, as elsewhere in Kubernetes. An empty selector selects everything."""
-
-    match_labels: dict[str, str] | None = None
-    """Labels that must all be present."""
-    match_expressions: list[LabelSelectorRequirement] | None = Field(default=None, max_length=16)
-    """Expressions that must all be true."""
 
 
 class TemplateSource(Model):

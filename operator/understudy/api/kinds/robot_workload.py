@@ -22,6 +22,7 @@ from understudy.api.base import (
 )
 from understudy.api.conditions import Conditions, Time
 from understudy.api.kinds.failure_policy import MOST_COUNTED
+from understudy.api.kinds.label_selector import LabelSelector
 from understudy.api.kinds.pause_spec import Pause
 from understudy.api.kinds.pod_template import pod_template
 from understudy.api.kinds.procedure_spec import Procedure
@@ -167,6 +168,21 @@ class Reflex(Model):
     all of them here to accept that. Otherwise the operator refuses the workload (condition Accepted)."""
 
 
+@with_rules(
+    (
+        "has(self.namespaceSelector) || has(self.podSelector)",
+        "a peer needs a namespaceSelector, a podSelector or both",
+    ),
+)
+class GatePeer(Model):
+    """Pods, as the peer of a NetworkPolicy selects them."""
+
+    namespace_selector: LabelSelector | None = None
+    """Labels of the namespaces whose pods are meant. Empty: all namespaces. Absent: the workload's own namespace."""
+    pod_selector: LabelSelector | None = None
+    """Labels of the pods. Absent or empty: all pods of these namespaces."""
+
+
 class Gate(Model):
     """The gate, which decides which instance can reach the robot."""
 
@@ -176,6 +192,10 @@ class Gate(Model):
     robots: list[Cidr] = Field(default_factory=list, max_length=16)
     """CIDRs of the robot and other peers outside the cluster. They must not include pod addresses: pods in these ranges
     could bypass the gate."""
+    peers: list[GatePeer] = Field(default_factory=list, max_length=16)
+    """Pods that the workload's instances and its discovery server may exchange packets with, such as those of a robot
+    in another namespace. Empty: the pods of the workload's own namespace. To allow an instance more, such as a database
+    or the Internet, write a NetworkPolicy of your own; it must not include UDP to the gated ports (7950 to 8149)."""
     reflex: Reflex | None = None
     """Reflex: the gate is also open for one standby of an Executing pool. With DDS exclusive ownership, the robot's own
     DataReaders switch to this standby if the active instance falls silent, before the monitor acts. Absent: the gate is

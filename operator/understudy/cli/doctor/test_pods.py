@@ -32,6 +32,7 @@ from understudy.controller.pods.instance_pod import HARDENED
 from understudy.controller.pods.pod_placement import away_from
 from understudy.kube.client import MERGE, PODS, Object, Resource
 from understudy.kube.gates import registry
+from understudy.kube.gates.base import Reach
 from understudy.ros.rmw import MIDDLEWARE
 
 LABEL = f"{names.GROUP}/doctor"
@@ -75,7 +76,9 @@ class Pods:
 
     def fence(self) -> Answer:
         """Put the sender behind the closed gate of an instance, and return the answer to the last write."""
-        answer = self._write("POST", _GATE.resource, None, self._as_the_doctors(_GATE.closed(self.run, epoch=0)))
+        answer = self._write(
+            "POST", _GATE.resource, None, self._as_the_doctors(_GATE.closed(self.run, Reach(), epoch=0))
+        )
         for resource, companion in self._companions:
             answer = self._write("POST", resource, None, self._as_the_doctors(companion))
         return answer
@@ -97,7 +100,7 @@ class Pods:
 
     @property
     def _companions(self) -> list[tuple[Resource, Object]]:
-        return _GATE.companions(self.run, [], None)
+        return _GATE.companions(self.run, Reach())
 
     def _commit(self, active: str) -> Answer:
         patch = relabelled(_GATE.routing(self.run, active))

@@ -13,6 +13,7 @@ from understudy.api import names
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.controller.desired import (
     action_proxy_container,
+    control_plane_policies,
     discovery_server,
     monitor_config,
     monitor_deployment,
@@ -30,6 +31,7 @@ from understudy.kube.client import (
     CONFIG_MAPS,
     DEPLOYMENTS,
     DISRUPTION_BUDGETS,
+    NETWORK_POLICIES,
     REPLICA_SETS,
     ROLE_BINDINGS,
     ROLES,
@@ -66,7 +68,7 @@ def plan(observed: Observed, workload_plan: WorkloadPlan, images: Images, fresh:
     if environment is None:
         _permit_evictions_in_vain(made, observed)
         return made
-    _gate(made, observed, spec)
+    _gate(made, observed, spec, images)
     _hold(made, observed, workload_plan)
     _configure(made, observed, workload_plan, environment)
     _monitor(made, observed, workload_plan, images, environment)
@@ -124,21 +126,20 @@ def _remembered_address(observed: Observed) -> str | None:
     return host.strip("[]") if colon and port == str(names.DISCOVERY_PORT) else None
 
 
-def _gate(made: Plan, observed: Observed, spec: RobotWorkloadSpec) -> None:
+def _gate(made: Plan, observed: Observed, spec: RobotWorkloadSpec, images: Images) -> None:
     workload = observed.workload
     name, owner = kube_objects.name(workload), kube_objects.owner("RobotWorkload", workload)
-    selector = None
-    if observed.reference is not None and observed.reference.controller is not None:
-        selector = observed.reference.controller["spec"]["selector"]
-    kind, gate = registry.of(workload), observed.gate
-    for resource, body in kind.companions(name, spec.gate.robots, selector):
+    kind, gate, reach = registry.of(workload), observed.gate, control_plane_policies.reach(observed, spec)
+    for resource, body in kind.companions(name, reach):
         made.writes.append(_ours(observed, resource, body))
+    shield = control_plane_policies.policy(name, reach, images.metrics_from)
+    made.writes.append(_ours(observed, NETWORK_POLICIES, shield))
     if gate is None:
         epoch = ((workload.get("status") or {}).get("gate") or {}).get("epoch") or 0
         fenced = workload["metadata"]["generation"] if spec.pause is not None and spec.pause.is_fence else 0
-        closed = kind.closed(name, epoch=epoch, fenced=fenced)
+        closed = kind.closed(name, reach, epoch=epoch, fenced=fenced)
         made.writes.append(Create(kind.resource, ownership.ours(closed, owner, workload)))
-    elif repair := kind.repair(gate, owner=owner, labels=kube_objects.MANAGED_BY):
+    elif repair := kind.repair(gate, reach, owner=owner, labels=kube_objects.MANAGED_BY):
         made.writes.append(Patch(kind.resource, gate, repair))
 
 

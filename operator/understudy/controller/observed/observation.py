@@ -64,6 +64,8 @@ class Observed:
     """The nodes of the cluster."""
     going: frozenset[str] = frozenset()
     """The deleted shared pools that still have claimable pods, of those whose agents the monitor may command."""
+    apiservers: tuple[tuple[str, int], ...] = ()
+    """Addresses and ports of the API server, if the workload has a reflex."""
 
     def left(self, seconds: float, *, since: float) -> float:
         """Return how many seconds are left of this many since a time (Unix seconds); not above 0 if they have passed."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, Protocol
@@ -26,6 +27,7 @@ from understudy.controller.reconcile.expectations import Expectations
 from understudy.controller.reconcile.object_store import Store
 from understudy.controller.status import workload_status
 from understudy.kube import selectors
+from understudy.kube.apiserver_addresses import ApiServerAddresses
 from understudy.kube.client import (
     CONFIG_MAPS,
     DEPLOYMENTS,
@@ -60,6 +62,7 @@ class Observer:
 
     def __init__(self, client: Reader, store: Store, expectations: Expectations) -> None:
         self._client, self._store, self._expectations = client, store, expectations
+        self._apiservers = ApiServerAddresses(client, os.environ)
         self._looked: dict[tuple[str, str], tuple[str, str]] = {}
         """By namespace and name: the UIDs of the pool for which an older Secret was read, and of the Secret found."""
 
@@ -101,6 +104,7 @@ class Observer:
             nodes=store.all(NODES),
             budgets=self._budgets(namespace),
             going=frozenset(self._going(namespace, store.get(ROLES, namespace, names.monitor(name)))),
+            apiservers=await self._apiservers.read() if _has_reflex(item) else (),
         )
 
     def _pods(self, namespace: str, workload: str, uid: str) -> list[Object]:
@@ -320,3 +324,8 @@ class Observer:
             return None, None
         spec = referred.controller["spec"]
         return spec["template"], spec["selector"]
+
+
+def _has_reflex(workload: Object) -> bool:
+    """Whether the agents of a workload freeze its instances while nobody answers."""
+    return bool(((workload.get("spec") or {}).get("gate") or {}).get("reflex"))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
+import json
 import logging
 import os
 import socket
@@ -32,7 +33,7 @@ from understudy.controller.reconcile.tree_judge import TreeJudge
 from understudy.controller.runtime import kopf_handlers, watches
 from understudy.controller.runtime.fleet_metrics import FleetMetrics
 from understudy.controller.runtime.workers import Operator
-from understudy.kube.client import SERVICE_ACCOUNT, Access, Client
+from understudy.kube.client import SERVICE_ACCOUNT, Access, Client, Object
 from understudy.kube.events import Recorder
 from understudy.kube.kubeconfig import KubeconfigError, default_access, load_access
 from understudy.kube.leader_election import LeadershipLost, Lease, Timing
@@ -184,6 +185,14 @@ def options(argv: Sequence[str]) -> tuple[argparse.Namespace, Options]:
         help="PriorityClass of the pods of monitors and discovery servers",
     )
     parser.add_argument(
+        "--metrics-from",
+        type=_peers,
+        default=environment("UNDERSTUDY_METRICS_FROM", "[]"),
+        metavar="PEERS",
+        help="who may read the metrics of monitors: a JSON list of the peers of a NetworkPolicy "
+        "(default: UNDERSTUDY_METRICS_FROM, or else nobody)",
+    )
+    parser.add_argument(
         "--rollout-percent",
         type=_percent,
         default=environment("UNDERSTUDY_ROLLOUT_PERCENT", str(PERCENT)),
@@ -235,7 +244,11 @@ def options(argv: Sequence[str]) -> tuple[argparse.Namespace, Options]:
     watched = [n for n in parsed.watch_namespace or (environment("UNDERSTUDY_WATCH_NAMESPACES") or "").split(",") if n]
     return parsed, Options(
         images=Images(
-            parsed.monitor_image, parsed.image_pull_policy, tuple(filter(None, secrets)), parsed.priority_class
+            parsed.monitor_image,
+            parsed.image_pull_policy,
+            tuple(filter(None, secrets)),
+            parsed.priority_class,
+            parsed.metrics_from,
         ),
         lease_namespace=parsed.lease_namespace,
         lease=parsed.lease,
@@ -251,6 +264,16 @@ def _percent(text: str) -> int:
     if not text.isdigit() or not 1 <= int(text) <= 100:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 to 100")
     return int(text)
+
+
+def _peers(text: str) -> tuple[Object, ...]:
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise argparse.ArgumentTypeError(f"{text:.100!r} is not JSON: {error}") from None
+    if not isinstance(found, list) or not all(isinstance(peer, dict) for peer in found):
+        raise argparse.ArgumentTypeError(f"{text:.100!r} is not a list of the peers of a NetworkPolicy")
+    return tuple(found)
 
 
 def _own_namespace() -> str:

@@ -62,6 +62,20 @@ class GateRecord:
         )
 
 
+@dataclass(frozen=True)
+class Reach:
+    """With whom the instances of a workload may exchange packets, besides its monitor and its discovery server."""
+
+    peers: tuple[Object, ...] = ()
+    """Pods, as the peers of a NetworkPolicy. Empty: the pods of the workload's own namespace."""
+    robots: tuple[str, ...] = ()
+    """Addresses outside the cluster, as CIDRs."""
+    reference: Mapping[str, Any] | None = None
+    """The pod selector of a referenced controller, whose pods are instances before they have the operator's labels."""
+    apiservers: tuple[tuple[str, int], ...] = ()
+    """Addresses and ports of the API server. Only for instances whose agents freeze them while nobody answers."""
+
+
 class Proof(Protocol):
     """Evidence of whose packets pass the gate, observed at its far side and not read from the API."""
 
@@ -115,7 +129,7 @@ class GateKind(ABC):
     # -- What the operator creates ------------------------------------------------------------------------------------
 
     @abstractmethod
-    def closed(self, workload: str, *, epoch: int, fenced: int = 0) -> Object:
+    def closed(self, workload: str, reach: Reach, *, epoch: int, fenced: int = 0) -> Object:
         """Return a gate object that lets nobody through. After it is created, only the monitor commits to it.
 
         ``epoch`` is the last one known, so that the commits of a gate that somebody deleted do not become valid again. ``fenced`` is as in
@@ -123,18 +137,12 @@ class GateKind(ABC):
         """
 
     @abstractmethod
-    def spec_repair(self, gate: Object) -> Object:
+    def spec_repair(self, gate: Object, workload: str, reach: Reach) -> Object:
         """Return merge patch fields that restore the gate object except routing and record; empty if nothing differs."""
 
     @abstractmethod
-    def companions(
-        self, workload: str, robots: Sequence[str], reference: Mapping[str, Any] | None
-    ) -> list[tuple[Resource, Object]]:
-        """Return the other objects that the gate of a workload needs, each with its resource.
-
-        ``robots`` are the addresses of robots outside the cluster, as CIDRs. ``reference`` is the pod selector of a referenced controller,
-        whose pods are instances before they have the operator's labels.
-        """
+    def companions(self, workload: str, reach: Reach) -> list[tuple[Resource, Object]]:
+        """Return the other objects that the gate of a workload needs, each with its resource."""
 
     # -- How it is proven -----------------------------------------------------------------------------------------------
 
@@ -144,13 +152,14 @@ class GateKind(ABC):
 
     # -- The same for every kind ----------------------------------------------------------------------------------------
 
-    def repair(self, gate: Object, *, owner: Object, labels: Mapping[str, str]) -> Object | None:
+    def repair(self, gate: Object, reach: Reach, *, owner: Object, labels: Mapping[str, str]) -> Object | None:
         """Return a merge patch that restores a gate object; None if nothing differs.
 
         Routing and record belong to the monitor. But a routing that no commit writes is restored from the record, because it may let any
         pod of the namespace through. ``owner`` is the RobotWorkload. The patch is valid for this version of the gate object only.
         """
-        metadata, patch, workload = gate["metadata"], self.spec_repair(gate), owner["name"]
+        metadata, workload = gate["metadata"], owner["name"]
+        patch = self.spec_repair(gate, workload, reach)
         if self.malformed(gate, workload):
             record = GateRecord.of(gate)
             patch = _merged(patch, self.routing_repair(gate, workload, record.active, record.admitted))

@@ -15,15 +15,21 @@ KIND = "NetworkPolicy"
 
 
 def held_pods(pool: str, claimable: str) -> Object:
-    """Return the policy of a pool's unclaimed pods: only their agents can be reached, and the pods can send nothing else.
+    """Return the policy of a pool's unclaimed pods: only monitors reach their agents, and the pods can send nothing else.
 
     Its annotation holds the hash of the template whose pods may be claimed.
     """
-    agent = [{"protocol": "TCP", "port": port} for port in (names.AGENT_PORT, names.AGENT_HEALTH_PORT)]
+    monitors = [{"podSelector": {"matchLabels": {names.COMPONENT: "monitor"}}}]
     policy = network_policy(
         names.held(pool),
         {"matchLabels": {names.POOL: pool, names.HELD: "true"}},
-        {"policyTypes": ["Ingress", "Egress"], "ingress": [{"ports": agent}]},
+        {
+            "policyTypes": ["Ingress", "Egress"],
+            "ingress": [
+                {"from": monitors, "ports": [{"protocol": "TCP", "port": names.AGENT_PORT}]},
+                {"ports": [{"protocol": "TCP", "port": names.AGENT_HEALTH_PORT}]},
+            ],
+        },
     )
     policy["metadata"]["annotations"] = {names.TEMPLATE_HASH: claimable}
     return policy

@@ -34,6 +34,7 @@ from understudy.cli.doctor.packet_check import GateTest
 from understudy.controller.plan import Images
 from understudy.failover.progress import rfc3339
 from understudy.kube.gates import registry
+from understudy.kube.gates.base import Reach
 from understudy.ros.rmw import MIDDLEWARE
 
 # -- rights -----------------------------------------------------------------------------------------------------------
@@ -112,7 +113,7 @@ def test_pods_of_the_doctor_have_no_label_that_operator_or_monitors_select() -> 
 
 def test_the_test_policies_are_those_of_the_operator_with_other_labels() -> None:
     labels = test_pods.pod("doctor-1", "sender", Images("i"))["metadata"]["labels"]
-    ((_, theirs),) = registry.DEFAULT.companions("doctor-1", [], None)
+    ((_, theirs),) = registry.DEFAULT.companions("doctor-1", Reach())
     ours = test_pods.relabelled(theirs)
     assert ours["spec"]["egress"][0]["ports"] == theirs["spec"]["egress"][0]["ports"]
     selector = ours["spec"]["podSelector"]["matchLabels"]

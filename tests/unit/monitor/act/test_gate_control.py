@@ -21,7 +21,7 @@ from understudy.failover.abandoned import AbandonedRecovery
 from understudy.failover.interfaces import GateState, Instance, NoLongerNeeded, Superseded
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import NETWORK_POLICIES, WORKLOADS, ApiError, Object
-from understudy.kube.gates.base import GateRecord
+from understudy.kube.gates.base import GateRecord, Reach
 from understudy.kube.gates.kinds.network_policy import GATE
 from understudy.monitor.act.objects import gate_control
 from understudy.monitor.observe.objects.cluster_view import ClusterView
@@ -307,7 +307,7 @@ async def test_an_instance_whose_gate_somebody_has_deleted_is_not_fenced_for_its
     gate, progress = await open_gate(client, found, tmp_path, FAILED), recovery()
     progress.open_at = 4
     await client.delete(NETWORK_POLICIES, "fleet", "w-gate")
-    new = await client.create(NETWORK_POLICIES, "fleet", GATE.closed("w", epoch=4))
+    new = await client.create(NETWORK_POLICIES, "fleet", GATE.closed("w", Reach(), epoch=4))
     if noticed:
         found.gates.put(new)
     with pytest.raises(NoLongerNeeded, match="somebody deleted the gate"):

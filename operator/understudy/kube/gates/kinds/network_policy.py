@@ -3,19 +3,24 @@
 Two policies make this gate, both on a workload's instances and never on the robot's pods. Policies add up, so the switch only patches the
 selector of the gate object:
 
-- ``W-standby`` selects every instance, and allows all traffic with pods of other workloads except UDP to the gated ports.
-- ``W-gate``, the gate object, selects the one instance in control, and allows all that it sends.
+- ``W-standby`` selects every instance, and allows it to exchange everything with its peers except UDP to their gated ports. Only
+  the workload's monitor reaches its agent's control channel.
+- ``W-gate``, the gate object, selects the one instance in control, and allows it to send UDP to the gated ports of the same peers.
+
+The peers are the monitor and the discovery server of the workload, and those of its :class:`Reach`, but no other instance of it. Other
+policies may allow an instance more. Only if they include UDP to the gated ports, they open the gate.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from ipaddress import ip_address
 from typing import Any
 
 from understudy.api import names
 from understudy.kube import selectors
 from understudy.kube.client import NETWORK_POLICIES, Object, Resource
-from understudy.kube.gates.base import GateKind
+from understudy.kube.gates.base import GateKind, Reach
 from understudy.kube.gates.probes import ProbeReceiver
 from understudy.kube.gates.unclaimed_pod_policy import network_policy
 
@@ -24,7 +29,8 @@ _LAST_PORT = 65535
 _NETWORKS = "k8s.v1.cni.cncf.io/networks"
 """The annotation with which Multus and similar network plugins give a pod further interfaces."""
 
-_OPEN: Object = {"policyTypes": ["Egress"], "egress": [{}]}
+_DNS = (53, 5353)
+"""Ports of DNS servers: the usual one, and that of the pods behind it in some distributions."""
 
 
 class NetworkPolicyGate(GateKind):
@@ -75,53 +81,42 @@ class NetworkPolicyGate(GateKind):
             )
         return ""
 
-    def closed(self, workload: str, *, epoch: int, fenced: int = 0) -> Object:
+    def closed(self, workload: str, reach: Reach, *, epoch: int, fenced: int = 0) -> Object:
         """Return a policy that selects no pod."""
         selector = {"matchLabels": {names.WORKLOAD: workload, names.INSTANCE: names.GATE_CLOSED}}
-        policy = network_policy(names.gate(workload), selector, _OPEN)
+        policy = network_policy(names.gate(workload), selector, _gated(workload, reach))
         record = {names.EPOCH: str(epoch), names.ACTIVE: "", names.ACTIVE_UID: "", names.RECOVERY: ""}
         record |= {names.FENCED: str(fenced)} if fenced else {}
         policy["metadata"]["annotations"] = record
         return policy
 
-    def spec_repair(self, gate: Object) -> Object:
+    def spec_repair(self, gate: Object, workload: str, reach: Reach) -> Object:
         """Return merge patch fields that restore the rules of the policy."""
-        spec = gate.get("spec") or {}
-        if all(spec.get(key) == value for key, value in _OPEN.items()) and not spec.get("ingress"):
+        spec, wanted = gate.get("spec") or {}, _gated(workload, reach)
+        if all(spec.get(key) == value for key, value in wanted.items()) and not spec.get("ingress"):
             return {}
-        return {"spec": {**_OPEN, "ingress": None}}
+        return {"spec": {**wanted, "ingress": None}}
 
-    def companions(
-        self, workload: str, robots: Sequence[str], reference: Mapping[str, Any] | None
-    ) -> list[tuple[Resource, Object]]:
-        """Return the policies of every instance: they allow all traffic except with each other and to the robot's gated ports.
-
-        "Not of this workload" means to lack its label and not to match the selector of a referenced controller.
-        """
-        ours = {"key": names.WORKLOAD, "operator": "NotIn", "values": [workload]}
-        others: list[list[Object]] = (
-            [[ours, selectors.opposite(requirement)] for requirement in selectors.requirements(reference)]
-            if reference
-            else [[ours]]
-        )
-        peers: list[Object] = [
-            {"namespaceSelector": {}, "podSelector": {"matchExpressions": expressions}} for expressions in others
-        ]
-        peers += [{"ipBlock": {"cidr": cidr}} for cidr in robots]
-        first, last = names.GATE_RANGE
-        ports = [
-            {"protocol": "TCP", "port": 1, "endPort": _LAST_PORT},
-            {"protocol": "UDP", "port": 1, "endPort": first - 1},
-            {"protocol": "UDP", "port": last + 1, "endPort": _LAST_PORT},
-        ]
+    def companions(self, workload: str, reach: Reach) -> list[tuple[Resource, Object]]:
+        """Return the policies of every instance."""
+        peers, first, last = _peers(workload, reach), *names.GATE_RANGE
+        ungated = [_ports("TCP"), _ports("UDP", 1, first - 1), _ports("UDP", last + 1)]
+        application = [_ports("TCP", 1, names.AGENT_PORT - 1), _ports("TCP", names.AGENT_PORT + 1), _ports("UDP")]
         rules: Object = {
             "policyTypes": ["Ingress", "Egress"],
-            "ingress": [{"from": peers}],
-            "egress": [{"to": peers, "ports": ports}],
+            "ingress": [{"from": peers, "ports": application}, {"from": [protectors(workload)]}],
+            "egress": [
+                {"to": [*peers, protectors(workload)], "ports": ungated},
+                {"ports": [{"protocol": protocol, "port": port} for protocol in ("UDP", "TCP") for port in _DNS]},
+                *(
+                    {"to": [{"ipBlock": {"cidr": _single(host)}}], "ports": [{"protocol": "TCP", "port": port}]}
+                    for host, port in reach.apiservers
+                ),
+            ],
         }
         found = [network_policy(names.standby(workload), {"matchLabels": {names.WORKLOAD: workload}}, rules)]
-        if reference:
-            found.append(network_policy(names.standby_reference(workload), dict(reference), rules))
+        if reach.reference:
+            found.append(network_policy(names.standby_reference(workload), dict(reach.reference), rules))
         return [(NETWORK_POLICIES, policy) for policy in found]
 
     async def proof(self) -> ProbeReceiver:
@@ -129,6 +124,44 @@ class NetworkPolicyGate(GateKind):
         receiver = ProbeReceiver()
         await receiver.listen(port=names.PROBE_PORT)
         return receiver
+
+
+def protectors(workload: str) -> Object:
+    """Return the peer of a policy that selects the monitor and the discovery server of a workload, in its own namespace."""
+    return {"podSelector": {"matchLabels": {names.MONITORED: workload}}}
+
+
+def _gated(workload: str, reach: Reach) -> Object:
+    """Return the rules of the gate object: UDP to the gated ports of those whom the instances may reach."""
+    first, last = names.GATE_RANGE
+    to = [*_peers(workload, reach), protectors(workload)]
+    return {"policyTypes": ["Egress"], "egress": [{"to": to, "ports": [_ports("UDP", first, last)]}]}
+
+
+def _peers(workload: str, reach: Reach) -> list[Object]:
+    """Return the peers of the policies: those of the workload, but no instance of it.
+
+    "No instance" means to lack the workload's label and not to match the selector of a referenced controller.
+    """
+    ours = {"key": names.WORKLOAD, "operator": "NotIn", "values": [workload]}
+    others: list[list[Object]] = [[ours]]
+    if reach.reference:
+        others = [[ours, selectors.opposite(requirement)] for requirement in selectors.requirements(reach.reference)]
+    found: list[Object] = []
+    for peer in reach.peers or ({},):
+        pods = peer.get("podSelector") or {}
+        for expressions in others:
+            selected = {**pods, "matchExpressions": [*(pods.get("matchExpressions") or []), *expressions]}
+            found.append({**peer, "podSelector": selected})
+    return found + [{"ipBlock": {"cidr": cidr}} for cidr in reach.robots]
+
+
+def _ports(protocol: str, first: int = 1, last: int = _LAST_PORT) -> Object:
+    return {"protocol": protocol, "port": first, "endPort": last}
+
+
+def _single(host: str) -> str:
+    return f"{host}/{ip_address(host).max_prefixlen}"
 
 
 GATE = NetworkPolicyGate()

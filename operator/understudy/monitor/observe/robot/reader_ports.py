@@ -110,7 +110,8 @@ def _without_profile(workload: str, readings: Sequence[Reading]) -> str:
 def _unread(topics: Sequence[str]) -> str:
     return (
         f"No process of the robot reads {', '.join(topics)}. Check that its driver runs in this robot's ROS graph "
-        "and uses this topic name."
+        "and uses this topic name. If it is in another namespace, name its pods in spec.gate.peers; if it is outside the cluster or on "
+        "its node's network, name its address in spec.gate.robots."
     )
 
 

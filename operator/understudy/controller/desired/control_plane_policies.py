@@ -1,0 +1,62 @@
+"""Who reaches what: the peers of a workload's instances, and the network policy of its monitor and its discovery server."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from understudy.api import names
+from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+from understudy.controller.observed.observation import Observed
+from understudy.kube.client import Object
+from understudy.kube.gates.base import Reach
+from understudy.kube.gates.unclaimed_pod_policy import network_policy
+
+
+def reach(observed: Observed, spec: RobotWorkloadSpec) -> Reach:
+    """Return with whom the instances of a workload may exchange packets."""
+    reference = None
+    if observed.reference is not None and observed.reference.controller is not None:
+        reference = observed.reference.controller["spec"]["selector"]
+    peers = (peer.model_dump(by_alias=True, exclude_none=True) for peer in spec.gate.peers)
+    return Reach(
+        peers=tuple({key: _stored(selector) for key, selector in peer.items()} for peer in peers),
+        robots=tuple(spec.gate.robots),
+        reference=reference,
+        apiservers=observed.apiservers,
+    )
+
+
+def policy(workload: str, within: Reach, metrics_from: Sequence[Object]) -> Object:
+    """Return the policy of the monitor and the discovery server.
+
+    Those whom the instances may reach discover the robot's graph and are observed, and the instances do so too. An agent that is cut off
+    asks monitors of the namespace whether they answer, by TCP at the port of the probes. ``metrics_from`` are the peers that read metrics.
+    """
+    outside: list[Object] = [{"ipBlock": {"cidr": cidr}} for cidr in within.robots]
+    selectors = [{"matchLabels": {names.WORKLOAD: workload}}, {"matchLabels": {names.MONITORED: workload}}]
+    selectors += [dict(within.reference)] if within.reference else []
+    ours: list[Object] = [{"podSelector": selector} for selector in selectors]
+    peers = [*(within.peers or [{"podSelector": {}}]), *outside]
+    graph = [_udp(1, names.PROBE_PORT - 1), _udp(names.PROBE_PORT + 1, 65535)]
+    ingress: list[Object] = [
+        {"from": [*peers, *ours], "ports": graph},
+        {"from": ours, "ports": [_udp(names.PROBE_PORT, names.PROBE_PORT)]},
+        {"from": [{"podSelector": {}}], "ports": [{"protocol": "TCP", "port": names.PROBE_PORT}]},
+    ]
+    if metrics_from:
+        ingress.append({"from": list(metrics_from), "ports": [{"protocol": "TCP", "port": names.METRICS_PORT}]})
+    return network_policy(
+        names.control_plane(workload),
+        {"matchLabels": {names.MONITORED: workload}},
+        {"policyTypes": ["Ingress"], "ingress": ingress},
+    )
+
+
+def _stored(selector: Mapping[str, Any]) -> Object:
+    """Return a selector as the API server stores it: without empty parts."""
+    return {key: value for key, value in selector.items() if value}
+
+
+def _udp(first: int, last: int) -> Object:
+    return {"protocol": "UDP", "port": first, "endPort": last}
