@@ -86,7 +86,7 @@ def test_the_monitor_reaches_agents_and_observes_who_passes_the_gate(workload: W
                 "robot -> camera tcp/8149",
                 "active -> dashboard udp/53",
             ]
-        ),  # fmt: skip
+        ),
         flows(
             [
                 "standby -> camera udp/8149",
@@ -97,7 +97,7 @@ def test_the_monitor_reaches_agents_and_observes_who_passes_the_gate(workload: W
                 "dashboard -> camera tcp/9108",
                 "dashboard -> camera tcp/8149",
             ]
-        ),  # fmt: skip
+        ),
     )
 
 
@@ -122,16 +122,18 @@ def test_metrics_are_for_those_who_are_named(workload: World) -> None:
 
 def test_a_policy_of_the_user_adds_to_what_instances_reach(workload: World) -> None:
     _enforce(workload, Reach())
-    workload.cluster.create({
-        "apiVersion": "networking.k8s.io/v1",
-        "kind": "NetworkPolicy",
-        "metadata": {"name": "database", "namespace": workload.spaces["fleet"]},
-        "spec": {
-            "podSelector": {"matchLabels": {names.WORKLOAD: "w"}},
-            "policyTypes": ["Egress"],
-            "egress": [{"to": [TOOLS], "ports": [{"protocol": "TCP", "port": 80}]}],
-        },
-    })  # fmt: skip
+    workload.cluster.create(
+        {
+            "apiVersion": "networking.k8s.io/v1",
+            "kind": "NetworkPolicy",
+            "metadata": {"name": "database", "namespace": workload.spaces["fleet"]},
+            "spec": {
+                "podSelector": {"matchLabels": {names.WORKLOAD: "w"}},
+                "policyTypes": ["Egress"],
+                "egress": [{"to": [TOOLS], "ports": [{"protocol": "TCP", "port": 80}]}],
+            },
+        }
+    )
     workload.expect(
         flows(["active -> dashboard tcp/80", "standby -> dashboard tcp/80"]),
         [*_commands("dashboard"), *flows(["active -> dashboard udp/1000"])],
