@@ -12,6 +12,8 @@ import yaml
 from tests.cluster.conftest import CONFINED, REPOSITORY, Release
 from tests.cluster.operators import Fleet, Operator, hot, policy, workload
 from tests.support.cluster import Cluster, Object, Refused, until
+from tests.support.golden import assert_golden
+from tests.support.rights import as_lines, rights_of
 
 RIGHTS = ("ServiceAccount", "ClusterRole", "ClusterRoleBinding", "Role", "RoleBinding")
 
@@ -51,6 +53,8 @@ def test_an_operator_of_named_namespaces_sees_only_these(
         until(lambda: len(fleet.instances()) == 2, "a pod and a standby")
         assert operator.status is None, "it is at work still"
     user = CONFINED.user
+    for place in (namespace, "default"):
+        assert_golden("rights", as_lines(rights_of(cluster, place, user)))
     assert cluster.request("GET", cluster.path("v1", "Pod", namespace), user=user)["items"]
     for kind in ("Pod", "Secret", "ConfigMap"):
         with pytest.raises(Refused, match="cannot list resource"):

@@ -9,7 +9,8 @@ import pytest
 
 from tests.cluster.conftest import Release
 from tests.support.cluster import Cluster, Object, Refused, account, until
-from tests.support.rights import OF_ALL, WHO_WAITS, Right, listed, named, of_all
+from tests.support.golden import assert_golden
+from tests.support.rights import OF_ALL, WHO_WAITS, as_lines, named, of_all, rights_of
 from understudy.api import names
 from understudy.controller.desired import monitor_deployment
 
@@ -133,8 +134,28 @@ def test_a_monitor_reads_all_waiting_claims_and_changes_only_its_own_gate(cluste
         cluster.patch(made[1], body, user=monitor)
 
 
-def _rights(cluster: Cluster, namespace: str, user: str) -> list[Right]:
-    return listed(cluster.kubectl("auth", "can-i", "--list", f"--as={user}", f"--namespace={namespace}"))
+@pytest.mark.parametrize("where", ["robots", "own"])
+def test_the_rights_of_the_operator_are_these(
+    cluster: Cluster, namespace: str, release: Release, operator: str, where: str
+) -> None:
+    place = namespace if where == "robots" else release.namespace
+    assert_golden("rights", as_lines(rights_of(cluster, place, operator)))
+
+
+def test_the_rights_of_the_account_of_helm_test_are_these(cluster: Cluster, namespace: str, release: Release) -> None:
+    user = account(release.namespace, f"{release.name}-test-understudy-monitor")
+    for place in (release.namespace, namespace):
+        assert_golden("rights", as_lines(rights_of(cluster, place, user)))
+
+
+@pytest.mark.parametrize("kind", ["ReplicaSet", "Deployment", "StatefulSet"])
+def test_the_rights_of_a_monitor_are_these(cluster: Cluster, namespace: str, kind: str) -> None:
+    for item in _access(kind, namespace):
+        cluster.create(item, namespace)
+    user = account(namespace, names.monitor_account("robot-17"))
+    until(lambda: any(one.resource == "pods" for one in rights_of(cluster, namespace, user)), "its role to take effect")
+    for place in (namespace, "default"):
+        assert_golden("rights", as_lines(rights_of(cluster, place, user)))
 
 
 @pytest.mark.parametrize("pools", [["spare"], []])
@@ -144,7 +165,7 @@ def test_can_i_lists_only_objects_of_the_workload_for_its_monitor(
     for item in _access("Deployment", namespace, pools=pools):
         cluster.create(item, namespace)
     user = account(namespace, names.monitor_account("robot-17"))
-    until(lambda: any(one.resource == "pods" for one in _rights(cluster, namespace, user)), "its role to take effect")
+    until(lambda: any(one.resource == "pods" for one in rights_of(cluster, namespace, user)), "its role to take effect")
     own = {
         "networkpolicies.networking.k8s.io": {names.gate("robot-17")},
         "robotworkloads.understudy.dev": {"robot-17", "robot-17-localization"},  # on which it depends
@@ -154,7 +175,7 @@ def test_can_i_lists_only_objects_of_the_workload_for_its_monitor(
         "secrets": {names.agent_secret("robot-17"), *map(names.pool_secret, pools)},
         "deployments.apps": {"nav2"},
     }
-    found = _rights(cluster, namespace, user)
+    found = rights_of(cluster, namespace, user)
     assert named(found) == own
     assert of_all(found) == OF_ALL | (WHO_WAITS if pools else {})
     assert not {"create", "update", "*"} & {verb for right in found if right.names for verb in right.verbs}

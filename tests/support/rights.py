@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from tests.support.cluster import Cluster
+
 
 class Right(NamedTuple):
     """One line of the output."""
@@ -42,6 +44,11 @@ def listed(text: str) -> list[Right]:
     ]
 
 
+def rights_of(cluster: Cluster, namespace: str, user: str) -> list[Right]:
+    """Return what a user may do in a namespace, according to the API server."""
+    return listed(cluster.kubectl("auth", "can-i", "--list", f"--as={user}", f"--namespace={namespace}"))
+
+
 def named(rights: Sequence[Right]) -> dict[str, set[str]]:
     """Return the rights to named objects, by kind."""
     found: dict[str, set[str]] = {}
@@ -54,3 +61,12 @@ def named(rights: Sequence[Right]) -> dict[str, set[str]]:
 def of_all(rights: Sequence[Right]) -> dict[str, set[str]]:
     """Return the rights to all objects of the namespace, by kind."""
     return {right.resource: set(right.verbs) for right in rights if not right.names}
+
+
+def as_lines(rights: Sequence[Right]) -> list[str]:
+    """Return one line for each right, in a stable order: the resource, the names if it is restricted to some, and the verbs."""
+    found = []
+    for right in rights:
+        only = f" {' '.join(sorted(right.names))}" if right.names else ""
+        found.append(f"{right.resource}{only}: {' '.join(sorted(right.verbs))}")
+    return sorted(found)
