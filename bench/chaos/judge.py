@@ -316,10 +316,13 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
         if BY_NAME[one.fault.kind].loses_packets and one.fault.victim != STANDBY
     ]
     for begin, length, strategy, allowed in gaps(seen, theirs, leaked):
-        lost = covered(lossy, begin, begin + length)
-        if lost and not strategy and length - lost <= allowed:
-            found.one_sided.append(length)
-            continue
+        heard = min(begin + length, _heard_until(seen, begin, begin + length)) if strategy else begin + length
+        lost = covered(lossy, begin, heard)
+        if lost and length - lost <= allowed:
+            found.one_sided.append(lost if strategy else length)
+            if not strategy:
+                continue
+            length -= lost
         found.gaps.setdefault(strategy or "no recovery", []).append(length)
         if length > allowed:
             text = f"{length:.2f} s without a command ({strategy or 'no recovery'}; {allowed:.2f} s are allowed)"
@@ -571,6 +574,11 @@ def _recoveries(seen: Seen, begin: float, end: float) -> list[Recovered]:
         if recovery.moments.get("detected", math.inf) <= end
         and recovery.moments.get("routed", recovery.moments.get("verified", end)) >= begin
     ]
+
+
+def _heard_until(seen: Seen, begin: float, end: float) -> float:
+    """Return until when the monitor received the instance whose failure it noticed in a silence of the robot."""
+    return min((one.moments.get("lastHealthy", begin) for one in _recoveries(seen, begin, end)), default=begin)
 
 
 def _allowed(recovery: Recovered) -> float:

@@ -14,6 +14,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
 from understudy_demo.recovery import Recovered, unix
 from urllib3.exceptions import HTTPError
 
@@ -25,6 +26,7 @@ from tests.support.cluster import Cluster, Refused
 from understudy.api import names
 from understudy.controller.observed import kube_objects
 from understudy.controller.runtime.process import LEASE
+from understudy.failover.progress import Progress
 
 PERIOD = 1.0
 """Seconds between two readings of pods and workloads."""
@@ -305,7 +307,7 @@ class Witness:
                     name = item["metadata"]["name"]
                     if name in self._commits and type_ != "DELETED":
                         # What is there when the watch begins may be as old as the end of the watch before.
-                        self._note(name, _commit(item, time.time(), 0.0 if name in known else lost))
+                        self._note(name, commit_of(item, time.time(), 0.0 if name in known else lost))
                     known.add(name)
             if known:
                 lost = time.time()
@@ -382,10 +384,11 @@ def _pod(item: Object) -> PodSeen:
     )
 
 
-def _commit(item: Object, seen: float, lost: float) -> Commit:
+def commit_of(item: Object, seen: float, lost: float) -> Commit:
     """Read the gate's record, which says who is let through whatever somebody made of its selector.
 
-    The API server notes the second of a write. It shows that this process was late to see the commit, on a busy machine by seconds.
+    On a busy machine this process sees a commit late, by seconds. The API server notes the second of a write, and the monitor the moment
+    of its request.
     """
     record = item["metadata"].get("annotations") or {}
     among = tuple(name for key in (names.ACTIVE, names.ADMITTED) if (name := record.get(key)))
@@ -395,7 +398,20 @@ def _commit(item: Object, seen: float, lost: float) -> Commit:
     )
     since = [lost] if lost else []
     since += [written] if written < seen - LAG - WRITTEN else []
+    if (requested := _requested(record.get(names.RECOVERY, ""), among)) is not None:
+        since.append(min(seen - LAG, max(written, requested)))
     return Commit(seen, epoch, among, min(since, default=math.nan))
+
+
+def _requested(recovery: str, among: Sequence[str]) -> float | None:
+    """Return when the monitor requested the commit of a recovery that opened the gate for its target; None if it did not."""
+    try:
+        progress = Progress.of_record(recovery)
+    except ValidationError:
+        return None
+    if progress.target is None or progress.target.name not in among:
+        return None
+    return progress.moments.get("committing")
 
 
 def dump(file: Path, **parts: Any) -> None:

@@ -35,9 +35,15 @@ def fault(kind: str, begun: float, ended: float | None = None, *, robot: int = 0
 
 
 def recovery(
-    detected: float, routed: float, strategy: str = "Fallback/Executing", reason: str = "", failed: Sequence[str] = ()
+    detected: float,
+    routed: float,
+    strategy: str = "Fallback/Executing",
+    reason: str = "",
+    failed: Sequence[str] = (),
+    last_healthy: float | None = None,
 ) -> Recovered:
     moments = {"detected": detected, "decided": detected, "fenced": routed, "routed": routed}
+    moments |= {"lastHealthy": last_healthy} if last_healthy is not None else {}
     tried = [
         *({"strategy": name, "result": "NotVerified"} for name in failed),
         {"strategy": strategy, "result": "Verified"},
@@ -353,15 +359,24 @@ def test_an_application_may_take_a_moment_to_act_on_the_state_that_it_was_given(
     assert whats(judged(commands, KILLED, steps=steps)) == expected
 
 
-@pytest.mark.parametrize(("recoveries", "expected"), [([], []), ([recovery(11.0, 15.0)], ["gap"])])
+@pytest.mark.parametrize(
+    ("recoveries", "expected", "one_sided"),
+    [
+        ([], [], 5.0),
+        ([recovery(11.0, 15.0)], ["gap"], None),
+        ([recovery(14.5, 15.0, last_healthy=14.2)], [], 4.2),
+        ([recovery(14.0, 15.0, last_healthy=11.0)], ["gap"], None),
+    ],
+    ids=["no recovery", "the monitor heard as little", "the monitor heard it for longer", "but not for long"],
+)
 def test_a_link_that_loses_packets_may_keep_them_from_the_robot_and_not_from_the_monitor(
-    recoveries: list[Recovered], expected: list[str]
+    recoveries: list[Recovered], expected: list[str], one_sided: float | None
 ) -> None:
     lossy = fault("packet-delay", 9.9, 15.0)
     commits = [Commit(0.0, 1, ("a",))]
     found = judged(log(drive("a", 1, 10), drive("a", 15, 20)), lossy, commits=commits, recoveries=recoveries)
     assert whats(found) == expected
-    assert found.one_sided == ([] if recoveries else [pytest.approx(5.0)])
+    assert found.one_sided == ([] if one_sided is None else [pytest.approx(one_sided, abs=0.05)])
 
 
 @pytest.mark.parametrize(("victim", "back"), [("active", 70), ("standby", 16)])
