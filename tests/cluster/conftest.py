@@ -5,11 +5,12 @@ from __future__ import annotations
 import os
 import subprocess
 import uuid
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+import yaml
 
 from tests.cluster import monitor_accounts
 from tests.cluster.operators import APPS, CORE, Fleet, Operator
@@ -190,6 +191,23 @@ def operator(fleet: Fleet) -> Iterator[Operator]:
     """An operator for the namespace."""
     with Operator(fleet.cluster.kubeconfig, fleet.namespace) as found:
         yield found
+
+
+@pytest.fixture
+def author_policies(cluster: Cluster, release: Release, namespace: str, helm: str) -> Iterator[Callable[..., None]]:
+    """A function that creates the policies for authors of another release, with these values of `admission`, for the namespace."""
+    made: list[Object] = []
+
+    def create(**admission: object) -> None:
+        command = [helm, "template", f"for-{namespace}", str(REPOSITORY / "charts" / "understudy"), "--values", "-"]
+        command += ["--kube-version", "1.34", "--show-only", "templates/admission-authoring.yaml"]
+        values = yaml.safe_dump({"watchNamespaces": [namespace], "admission": admission})
+        rendered = subprocess.run(command, input=values, capture_output=True, text=True, timeout=60, check=True).stdout
+        made.extend(cluster.create(item) for item in yaml.safe_load_all(rendered))
+
+    yield create
+    for item in made:
+        cluster.delete(item)
 
 
 def _install(cluster: Cluster, helm: str, kubeconfig: Path, release: Release) -> Object:

@@ -43,11 +43,11 @@ def create(
     return account(namespace, names.monitor_account(workload))
 
 
-def allow(cluster: Cluster, namespace: str, user: str, rule: Object) -> None:
-    """Give a user the rights of one more rule in a namespace."""
+def allow(cluster: Cluster, namespace: str, user: str, *rules: Object) -> None:
+    """Give a user the rights of these rules in a namespace."""
     group, name = "rbac.authorization.k8s.io", f"allowed-{user.split(':')[-1].split('@')[0]}"
     role: Object = {"apiVersion": f"{group}/v1", "kind": "Role", "metadata": {"name": name}}
-    cluster.create({**role, "rules": [rule]}, namespace)
+    cluster.create({**role, "rules": list(rules)}, namespace)
     subject = {"kind": "User", "name": user, "apiGroup": group}
     reference = {"apiGroup": group, "kind": "Role", "name": name}
     cluster.create({**role, "kind": "RoleBinding", "roleRef": reference, "subjects": [subject]}, namespace)

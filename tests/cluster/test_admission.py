@@ -383,7 +383,7 @@ def test_the_operator_changes_the_labels_of_instances(cluster: Cluster, namespac
     assert changed["metadata"]["labels"][names.WORKLOAD] == MINE
 
 
-@pytest.mark.parametrize("policy", ["monitors", "gates", "labels", "new-pods"])
+@pytest.mark.parametrize("policy", ["monitors", "gates", "labels", "new-pods", "authors", "templates"])
 def test_the_policies_have_no_type_errors(cluster: Cluster, release: Release, policy: str) -> None:
     name = f"{release.name}-{policy}"
 

@@ -11,6 +11,10 @@ from understudy.api import names
 
 @pytest.fixture
 def restricted(cluster: Cluster, namespace: str) -> None:
+    _restrict(cluster, namespace)
+
+
+def _restrict(cluster: Cluster, namespace: str) -> None:
     found = cluster.get(CORE, "Namespace", namespace)
     cluster.patch(found, {"metadata": {"labels": {"pod-security.kubernetes.io/enforce": "restricted"}}})
 
@@ -42,12 +46,13 @@ def test_monitors_discovery_servers_and_agents_are_within_it(
     until(lambda: len(fleet.held()) == 1, "a held pod")
 
 
-def test_a_template_that_violates_pod_security_is_reported_with_the_missing_fields(
-    restricted: None, fleet: Fleet, operator: Operator
-) -> None:
+def test_an_earlier_template_that_violates_pod_security_is_reported_with_the_missing_fields(fleet: Fleet) -> None:
+    """Templates that are written later are refused: test_strangers_templates.py."""
     fleet.create(policy("hot", "spare"), hot(), spare(replicas=1), workload())
-    for kind, name in (("RobotWorkload", "w"), ("FallbackPool", "spare")):
-        said = fleet.wait_condition(kind, name, "Accepted", "TemplateInvalid")["message"]
-        assert 'container "app" must set securityContext.allowPrivilegeEscalation=false' in said
-        assert "understudy-agent" not in said, "the agent is within it"
-        assert said.endswith("See docs/how-to/production.md")
+    _restrict(fleet.cluster, fleet.namespace)
+    with Operator(fleet.cluster.kubeconfig, fleet.namespace):
+        for kind, name in (("RobotWorkload", "w"), ("FallbackPool", "spare")):
+            said = fleet.wait_condition(kind, name, "Accepted", "TemplateInvalid")["message"]
+            assert 'container "app" must set securityContext.allowPrivilegeEscalation=false' in said
+            assert "understudy-agent" not in said, "the agent is within it"
+            assert said.endswith("See docs/how-to/production.md")
