@@ -73,6 +73,7 @@ class AgentLink:
         self._answers: dict[int, asyncio.Future[dict[str, Any]]] = {}
         self._changed = asyncio.Event()
         self._accepted = False
+        self._closed = False
         self.sessions = 0
         """Number of times that the connection was made."""
         self.pod = ""
@@ -88,7 +89,7 @@ class AgentLink:
     @property
     def connected(self) -> bool:
         """Whether the agent accepted this session and has sent something within the last seconds."""
-        return self._writer is not None
+        return self._writer is not None and not self._closed
 
     @property
     def status(self) -> AgentStatus | None:
@@ -96,23 +97,24 @@ class AgentLink:
         return self._status
 
     async def wait_connected(self, within: float | None = None) -> None:
-        """Wait for the connection. Raises AgentGone with the reason if there is none within ``within`` seconds."""
+        """Wait for the connection. Raises AgentGone with the reason if there is none within ``within`` seconds, or if it is closed."""
         try:
             async with asyncio.timeout(within):
                 while not self.connected:
-                    await self._changed.wait()
+                    await self._change()
         except TimeoutError:
             raise AgentGone(self.problem) from None
 
     async def wait_for(self, predicate: Callable[[AgentStatus], bool], within: float | None = None) -> AgentStatus:
         """Return the first status that satisfies the predicate, waiting through lost connections.
 
-        Raises TimeoutError, with the last status or problem, if none does within ``within`` seconds.
+        Raises TimeoutError, with the last status or problem, if none does within ``within`` seconds, and AgentGone if the connection is
+        closed.
         """
         try:
             async with asyncio.timeout(within):
                 while self._status is None or not predicate(self._status):
-                    await self._changed.wait()
+                    await self._change()
                 return self._status
         except TimeoutError:
             last = self.problem or (self._status and (self._status.reason or self._status.phase)) or "no status yet"
@@ -184,7 +186,9 @@ class AgentLink:
         return found
 
     async def close(self) -> None:
-        """Close the connection. Requests in flight fail."""
+        """Close the connection. Requests in flight fail, and those who wait for it or for a status get AgentGone."""
+        self._closed = True
+        self._changed.set()
         self._task.cancel()
         with contextlib.suppress(asyncio.CancelledError):
             await self._task
@@ -311,6 +315,13 @@ class AgentLink:
             self._on_event(self, event)
         except Exception:
             _logger.exception("an event of agent %s", self.pod or self.host)
+
+    async def _change(self) -> None:
+        """Wait for the next change. Raises AgentGone if the connection is closed."""
+        if not self._closed:
+            await self._changed.wait()
+        if self._closed:
+            raise AgentGone(f"agent {self.pod or self.host}: the connection was closed on this side")
 
     def _notify(self) -> None:
         self._changed.set()

@@ -10,7 +10,7 @@ import asyncio
 import math
 import time
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 from understudy.clock import ClockSteps
@@ -165,14 +165,21 @@ class Leak:
     """When it was first heard, in Unix seconds."""
     goes_on: bool
     """Whether it was heard so recently that it has probably not ended."""
+    silent: float = field(compare=False)
+    """Seconds since it was last heard."""
 
 
 def leaks(tracks: Tracks, now: float) -> tuple[Leak, ...]:
     """Return the instances that reach the robot and are not let through, by name."""
     heard = [one for one in tracks.values() if one.sign.uid and one.lasts and one.is_heard(now)]
     still = {one.sign.uid for one in heard if one.goes_on(now)}
+    last: dict[str, float] = {}
+    for one in heard:
+        last[one.sign.uid] = max(last.get(one.sign.uid, -math.inf), one.sign.last)
     found = {
-        one.sign.uid: Leak(one.sign.name, one.sign.uid, one.sign.is_former, one.first, one.sign.uid in still)
+        one.sign.uid: Leak(
+            one.sign.name, one.sign.uid, one.sign.is_former, one.first, one.sign.uid in still, now - last[one.sign.uid]
+        )
         for one in sorted(heard, key=lambda one: -one.first)
     }
     return tuple(sorted(found.values(), key=lambda leak: leak.name))
@@ -236,8 +243,8 @@ class SoleDriver:
         """
         is_other = self.track(instances, now)
         found = leaks(self._tracks, now)
-        if found != self.leaks:
-            self.leaks = found
+        changed, self.leaks = found != self.leaks, found
+        if changed:
             self._notices.add(LeaksCounted(len(found)))
             is_other = True
         if is_other:

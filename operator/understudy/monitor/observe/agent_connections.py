@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import base64
+import contextlib
 import logging
 import math
 import time
@@ -293,8 +294,10 @@ class AgentConnections:
             # Other callers may wait for the same connection, so one that is cancelled must not end it.
             link = self._links.get(instance.uid) or await asyncio.shield(self._connect(instance))
             if link is not None:
-                await link.wait_connected()
-                return link
+                # It is closed when the pod gets another address, after its node restarted.
+                with contextlib.suppress(AgentGone):
+                    await link.wait_connected()
+                    return link
             await asyncio.sleep(RETRY)
 
     def status(self, instance: Instance) -> AgentStatus | None:
@@ -365,10 +368,12 @@ class AgentConnections:
 
     async def up(self, instance: Instance) -> float:
         """Wait until the instance's processes run. Returns since when they do."""
-        link = await self._connected(instance)
-        status = await link.wait_for(lambda status: status.process_up_at is not None)
-        assert status.process_up_at is not None
-        return _past(status.process_up_at)
+        while True:
+            link = await self._connected(instance)
+            with contextlib.suppress(AgentGone):
+                status = await link.wait_for(lambda status: status.process_up_at is not None)
+                assert status.process_up_at is not None
+                return _past(status.process_up_at)
 
     async def ready(self, instance: Instance) -> float:
         """Wait until the health tree succeeds on the instance's own outputs. Returns since when it does."""
@@ -376,13 +381,16 @@ class AgentConnections:
             link = await self._connected(instance)
             try:
                 await self._drives(instance, link)
-                break
             except (AgentGone, AgentRefused) as error:
                 _logger.warning("agent of %s not configured: %s", instance.name, error)
                 await asyncio.sleep(RETRY)
-        status = await link.wait_for(lambda status: status.configured and status.ready and status.ready_at is not None)
-        assert status.ready_at is not None
-        return _past(status.ready_at)
+                continue
+            with contextlib.suppress(AgentGone):
+                status = await link.wait_for(
+                    lambda status: status.configured and status.ready and status.ready_at is not None
+                )
+                assert status.ready_at is not None
+                return _past(status.ready_at)
 
     async def bring_up(
         self, instance: Instance, procedure: BringUp, *, within: float, state: KeptState

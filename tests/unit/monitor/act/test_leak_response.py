@@ -7,6 +7,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Literal
 
 import pytest
@@ -183,6 +184,25 @@ async def test_a_standby_that_ends_with_its_deletion_closes_no_gate(tmp_path: Pa
     await driven.hear(STANDBY, ACTIVE, times=2)  # what was on its way
     await driven.hear(ACTIVE, times=20)
     assert driven.commits == []
+
+
+async def test_a_standby_that_is_seldom_heard_ends_with_its_deletion_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its test packets came once a second. The last one left just after the monitor had decided to delete it (campaign 59)."""
+    driven = await switched(tmp_path, STANDBY, ACTIVE)
+    monkeypatch.setattr(leak_response, "time", SimpleNamespace(monotonic=lambda: driven.now))
+    while not driven.graces:
+        await driven.hear(STANDBY, ACTIVE, times=1)
+        for _ in range(4):
+            await driven.look()
+    driven.objects.put_pods(replace(STANDBY, terminating=True), ACTIVE)
+    await driven.hear(STANDBY, ACTIVE, times=1)
+    for _ in range(30):
+        await driven.look()
+    assert driven.commits == []
+    await driven.hear(STANDBY, ACTIVE, times=6)
+    assert driven.commits == [""], "it goes on after all"
 
 
 async def test_a_standby_that_goes_on_sending_after_its_deletion_closes_the_gate(

@@ -34,6 +34,7 @@ class Agent:
     def __init__(self, token: bytes) -> None:
         self.token = token
         self.refused = 0
+        self.up_at: float | None = 1.0
         self.writers: list[asyncio.StreamWriter] = []
 
     async def session(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -49,7 +50,8 @@ class Agent:
                 writer.close()
                 return
             while True:
-                writer.write(wire.encode({"status": AgentStatus("Running", True).to_wire()}))
+                status = AgentStatus("Running", True, process_up_at=self.up_at)
+                writer.write(wire.encode({"status": status.to_wire()}))
                 await writer.drain()
                 await asyncio.sleep(0.2)
 
@@ -116,6 +118,37 @@ async def test_an_agent_is_found_again_if_its_pod_has_another_address_after_its_
     assert agents.status(INSTANCE) is None, "nobody listens there"
     agents.follow([INSTANCE])
     await eventually(lambda: agents.status(INSTANCE) is not None)
+    agents.follow([])
+
+
+async def test_who_waits_for_an_agent_goes_on_with_its_new_address(agent: Agent) -> None:
+    """Its node lost power and came back, while a strategy waited for the processes (campaign 59)."""
+    client, agents = connections()
+    await keep(client, b"second")
+    before = replace(INSTANCE, ip="127.0.0.77")
+    agents.follow([before])
+    waiting = asyncio.create_task(agents.up(before))
+    await asyncio.sleep(0.1)
+    assert not waiting.done(), "nobody listens there"
+    agents.follow([INSTANCE])
+    async with asyncio.timeout(5):
+        assert await waiting > 0
+    agents.follow([])
+
+
+async def test_who_waits_for_a_report_of_an_agent_waits_for_that_of_its_new_address(agent: Agent) -> None:
+    client, agents = connections()
+    await keep(client, b"second")
+    agent.up_at = None
+    agents.follow([INSTANCE])
+    waiting = asyncio.create_task(agents.up(INSTANCE))
+    await eventually(lambda: agents.status(INSTANCE) is not None)
+    agents.follow([replace(INSTANCE, ip="127.0.0.77")])
+    await asyncio.sleep(0.1)
+    agent.up_at = 1.0
+    agents.follow([INSTANCE])
+    async with asyncio.timeout(5):
+        assert await waiting == 1.0
     agents.follow([])
 
 

@@ -33,7 +33,7 @@ STANDBY_AGAIN = 60.0
 its replacement does too."""
 
 STANDBY_ENDS = 2.0
-"""Seconds that such an instance has to end once it is deleted: it has a second of grace. The gate closes only after that."""
+"""Seconds that such an instance has to end once it is deleted: it has a second of grace. The gate closes only if it is heard later."""
 
 CLOSE_WITHIN = 2.0
 """Seconds that the API server has to close the gate; then the loop goes on, and it is tried again."""
@@ -104,14 +104,17 @@ class LeakResponse:
                 _logger.warning(words)
                 self._notices.event("Warning", "LeakingPodDeleted", words)
 
+    def _ends(self, leak: Leak, now: float) -> bool:
+        """Whether a leak is a deleted standby that was not heard any more once it had the time to end."""
+        return leak.uid == self._ending_standby and now - self._standby_ended - leak.silent < STANDBY_ENDS
+
     async def _close(self) -> bool:
         """Close the gate if an instance that was in control before reaches the robot beside the active one."""
         state, now = self._gate.state, time.monotonic()
-        ending = self._ending_standby if now - self._standby_ended < STANDBY_ENDS else ""
         former = {
             leak.uid: leak.name
             for leak in self._sole_driver.leaks
-            if leak.is_former and leak.goes_on and leak.uid not in (state.active_uid, ending)
+            if leak.is_former and leak.goes_on and leak.uid != state.active_uid and not self._ends(leak, now)
         }
         if state.closed or not former or now < self._close_after:
             return False
