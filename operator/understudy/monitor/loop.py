@@ -345,6 +345,8 @@ class MonitorLoop:
         if self.decide.limits.pauses.on is None:
             self.act.leaks.respond_during(self._senses.current, now)
             await self.act.restore_routing()
+            if (progress := self._senses.current.progress) is not None:
+                await self.act.restore_record(progress)
 
     def _housekeeping(self) -> None:
         """Do the work that is not urgent. Returns at once."""

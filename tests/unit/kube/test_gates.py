@@ -112,7 +112,7 @@ async def test_the_end_of_a_recovery_keeps_control_and_ends_the_wait_for_a_pool(
     waiting = await gate.commit("a", recovery="{}", waits_for="spare")
     assert waiting["metadata"]["labels"][names.WAITS_FOR] == "spare"
     over = GateRecord.of(waiting)
-    ended = await gate.write(kind.ending(over=over, recovery="ended"))
+    ended = await gate.write(kind.noting(over=over, recovery="ended"))
     record = GateRecord.of(ended)
     assert (record.recovery, record.epoch, kind.let_through(ended)) == ("ended", 1, ("a",))
     assert names.WAITS_FOR not in ended["metadata"]["labels"]

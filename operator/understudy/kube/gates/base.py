@@ -230,16 +230,16 @@ class GateKind(ABC):
             **self.routing(workload, active),
         }
 
-    def ending(self, *, over: GateRecord, recovery: str) -> Object:
-        """Return the merge patch that records that the recovery of the last commit has ended.
+    def noting(self, *, over: GateRecord, recovery: str, waits_for: str = "") -> Object:
+        """Return the merge patch that changes what the record says of the recovery of the last commit, such as that it has ended.
 
         It applies to exactly the record ``over``. ``recovery`` is the JSON of the recovery from then on. Control does not change, so the
-        epoch stays. The workload no longer waits for a pod of a shared pool.
+        epoch stays. ``waits_for`` is as for a commitment.
         """
         return {
             "metadata": {
                 "resourceVersion": over.version,
-                "labels": {names.WAITS_FOR: None},
+                "labels": {names.WAITS_FOR: waits_for or None},
                 "annotations": {names.RECOVERY: recovery},
             }
         }

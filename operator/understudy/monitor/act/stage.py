@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 
 from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.failover.progress import Progress
 from understudy.monitor.act.gate.gate_opening import GateOpening
 from understudy.monitor.act.gate.leak_response import LeakResponse
 from understudy.monitor.act.gate.reflex_guard import ReflexGuard
@@ -89,6 +90,10 @@ class ActStage:
     async def restore_routing(self) -> None:
         """Undo what somebody else changed in whom the gate lets through."""
         await self._cluster.gate.restore_routing()
+
+    async def restore_record(self, progress: Progress) -> None:
+        """Name a recovery under way beside the gate again, if somebody deleted the gate."""
+        await self._cluster.gate.restore_record(progress)
 
     def supervise_standbys(self, policy: FailurePolicySpec, *, paused: bool) -> None:
         """Bring instances up, give them state, and delete what recoveries left behind. Returns at once."""

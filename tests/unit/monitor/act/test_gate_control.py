@@ -19,6 +19,7 @@ from understudy.cli.control.fence import fencing
 from understudy.failover import pinned
 from understudy.failover.abandoned import AbandonedRecovery
 from understudy.failover.interfaces import GateState, Instance, NoLongerNeeded, Superseded
+from understudy.failover.pool_queue import Waiter
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import NETWORK_POLICIES, WORKLOADS, ApiError, Object
 from understudy.kube.gates.base import GateRecord, Reach
@@ -313,6 +314,59 @@ async def test_an_instance_whose_gate_somebody_has_deleted_is_not_fenced_for_its
     with pytest.raises(NoLongerNeeded, match="somebody deleted the gate"):
         await gate.commit(STANDBY, progress)
     assert (gate.state.closed, gate.state.epoch) == (True, 4)
+
+
+async def _recreated(client: MemoryClient, found: ClusterView, epoch: int) -> None:
+    """Somebody deletes the gate, and the operator creates another one."""
+    await client.delete(NETWORK_POLICIES, "fleet", "w-gate")
+    found.gates.put(await client.create(NETWORK_POLICIES, "fleet", GATE.closed("w", Reach(), epoch=epoch)))
+
+
+async def test_a_recovery_is_named_beside_a_gate_that_was_deleted_and_created_again(
+    client: MemoryClient, found: ClusterView, tmp_path: Path
+) -> None:
+    """A monitor that succeeds this one would know neither who failed nor what state is to be given (campaign 59)."""
+    gate, progress = await open_gate(client, found, tmp_path, FAILED), recovery()
+    assert not await gate.restore_record(progress), "it has committed nothing yet"
+    await gate.commit(None, progress)
+    assert not await gate.restore_record(progress), "its record is there"
+    await _recreated(client, found, epoch=5)
+    progress.strategy = "Restart"
+    assert await gate.restore_record(progress)
+    restored = gate.state.recovery
+    assert restored is not None
+    assert (restored.id, restored.epoch, restored.strategy) == (progress.id, 5, "Restart")
+    assert (gate.state.closed, gate.state.epoch) == (True, 5), "control does not change"
+    assert not await gate.restore_record(progress), "once is enough"
+    await gate.commit(STANDBY, progress)
+    assert (gate.state.active, gate.state.epoch) == (STANDBY.name, 6)
+
+
+async def test_a_recovery_is_not_named_beside_a_gate_of_another_epoch_or_recovery(
+    client: MemoryClient, found: ClusterView, tmp_path: Path
+) -> None:
+    gate, progress = await open_gate(client, found, tmp_path, FAILED), recovery()
+    await gate.commit(None, progress)
+    assert not await gate.restore_record(recovery()), "another one committed"
+    await by_another(client, found, None)
+    assert not await gate.restore_record(progress)
+    await _recreated(client, found, epoch=9)
+    assert not await gate.restore_record(progress)
+
+
+async def test_a_record_that_could_not_be_restored_is_restored_later(
+    client: MemoryClient, found: ClusterView, tmp_path: Path
+) -> None:
+    gate, progress = await open_gate(client, found, tmp_path, FAILED), recovery()
+    progress.waiting = Waiter(workload="w", pool="spare", since=1.0, until=9.0)
+    await gate.commit(None, progress)
+    await _recreated(client, found, epoch=5)
+    client.failing = lambda method, name: TimeoutError() if method == "PATCH" else None
+    assert not await gate.restore_record(progress)
+    client.failing = lambda method, name: None
+    assert await gate.restore_record(progress)
+    labels = (await client.get(NETWORK_POLICIES, "fleet", "w-gate"))["metadata"]["labels"]
+    assert labels[names.WAITS_FOR] == "spare", "others still see that it waits"
 
 
 async def test_the_gate_is_not_closed_for_a_leak_that_another_monitor_lets_through(

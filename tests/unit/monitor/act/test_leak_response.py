@@ -21,6 +21,7 @@ from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.pinned import PinnedPod
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import REPLICA_SETS, ApiError
+from understudy.kube.gates.base import Reach
 from understudy.monitor.act.gate import gate_opening, leak_response
 from understudy.monitor.judge import sole_driver
 from understudy.monitor.judge.sole_driver import MEMORY, QUIET
@@ -334,7 +335,16 @@ async def test_an_edited_gate_is_restored_during_a_recovery(tmp_path: Path, monk
         objects.view.gates.put(objects.client.store(kind.resource, "fleet", edited))
         while kind.let_through(objects.view.gates.items["w-gate"]) != ():
             await asyncio.sleep(0.01)
+        new = kind.closed("w", Reach(), epoch=objects.gate.state.epoch)
+        objects.view.gates.put(
+            objects.client.store(
+                kind.resource, "fleet", {**edited, **new, "metadata": {**edited["metadata"], **new["metadata"]}}
+            )
+        )
+        while objects.gate.state.recovery is None:
+            await asyncio.sleep(0.01)
     running.cancel()
+    assert objects.gate.state.closed
 
 
 async def test_the_status_has_the_epoch_of_a_commit_while_the_recovery_goes_on(tmp_path: Path) -> None:

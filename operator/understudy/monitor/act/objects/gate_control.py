@@ -324,6 +324,30 @@ class GateControl:
         self._notices.event("Warning", "GateRestored", words)
         return True
 
+    async def restore_record(self, progress: Progress) -> bool:
+        """Name a recovery under way beside the gate again, if somebody deleted the gate and the operator created another one.
+
+        A monitor that succeeds this one would not know of it otherwise. Control does not change, so the epoch stays. Returns whether the
+        gate was written. A failed write is repeated by a later call.
+        """
+        record, (id_, epoch, sent) = self.record, self._own
+        if record is None or record.recovery or record.active or (id_, epoch) != (progress.id, record.epoch):
+            return False
+        if (committed := beside(sent)) is None or committed.epoch != epoch:
+            return False  # its commit is under way
+        recovery = progress.model_copy(update={"epoch": epoch}).record()
+        waits_for = progress.waiting.pool if progress.waiting is not None else ""
+        try:
+            await self._write_once(self._kind.noting(over=record, recovery=recovery, waits_for=waits_for))
+        except FAILURES as error:
+            _logger.warning("could not name recovery %s beside the gate again: %r", id_, error)
+            return False
+        self._own = (id_, epoch, recovery)
+        words = f"the gate no longer named recovery {id_}: somebody had deleted it"
+        _logger.warning("restored the gate: %s", words)
+        self._notices.event("Warning", "GateRestored", words)
+        return True
+
     def left_by(self, recovery: str) -> AbandonedRecovery | None:
         """Return the record that a recovery (given by its id) has left at the gate or may still leave there; None if there is none."""
         id_, epoch, sent = self._own
@@ -343,7 +367,7 @@ class GateControl:
         found = beside(over.recovery)
         if found is None:
             return
-        patch = self._kind.ending(over=over, recovery=ended(found).model_dump_json())
+        patch = self._kind.noting(over=over, recovery=ended(found).model_dump_json())
         try:
             await self._write_once(patch)
         except FAILURES as error:
