@@ -40,7 +40,7 @@ from understudy.monitor.observe.agent_connections import AgentConnections
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.instance_roles import InstanceRoles
 from understudy.monitor.observe.objects.cluster_view import ClusterView
-from understudy.monitor.observe.objects.own_pod import PodDeleted, end_if_deleted
+from understudy.monitor.observe.objects.own_pod import PodDeleted, end_at_start_if_deleted, end_if_deleted
 from understudy.monitor.observe.objects.resource_meter import ResourceMeter
 from understudy.monitor.observe.robot.health_observer import HealthObserver
 from understudy.monitor.observe.robot.robot_readers import RobotReaders
@@ -145,6 +145,7 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         diagnostics = DiagnosticsPublisher(view, observer, notices, lambda: parts.state_manager.taken)
         live_tree = LiveTreePages(view, observer, notices, lambda: diagnostics.problems)
         pages |= {"/": live_tree.page, "/tree": live_tree.tree}
+        await end_at_start_if_deleted(view)
         monitor_loop = MonitorLoop(parts)
         schedule = monitor_loop.observe.schedule
         REGISTRY.register(

@@ -11,7 +11,7 @@ from understudy.failover.progress import PodIdentity
 from understudy.kube.client import PODS, Object
 from understudy.monitor.observe.objects import own_pod
 from understudy.monitor.observe.objects.cluster_view import ClusterView
-from understudy.monitor.observe.objects.own_pod import PodDeleted, end_if_deleted
+from understudy.monitor.observe.objects.own_pod import PodDeleted, end_at_start_if_deleted, end_if_deleted
 from understudy.monitor.observe.wakeups import Wakeups
 
 ME = PodIdentity(name="w-monitor-1", uid="uid-1")
@@ -66,3 +66,17 @@ async def test_a_monitor_whose_pod_exists_goes_on_after_each_outage(view: Cluste
     await asyncio.sleep(0.05)
     assert not going_on.done(), "its kubelet ends it: there was no outage"
     going_on.cancel()
+
+
+async def test_a_monitor_that_is_started_again_in_a_deleted_pod_ends_before_it_does_anything(view: ClusterView) -> None:
+    put(view, deletionTimestamp="2026-01-01T00:00:30Z")
+    with pytest.raises(PodDeleted, match=r"pod w-monitor-1 was deleted"):
+        await end_at_start_if_deleted(view)
+    put(view)
+    await end_at_start_if_deleted(view)
+
+
+async def test_a_silent_api_server_does_not_delay_the_start(view: ClusterView, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(own_pod, "ASKED_WITHIN", 0.05)
+    view.client.failing = lambda method, name: TimeoutError()  # type: ignore[attr-defined]
+    await asyncio.wait_for(end_at_start_if_deleted(view), 5)

@@ -7,6 +7,7 @@ their successors, after the node's return too: its kubelet may need ten seconds 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 
 from understudy.kube.client import PODS, ApiError
@@ -14,6 +15,9 @@ from understudy.kube.repeated_requests import answered
 from understudy.monitor.observe.objects.cluster_view import ClusterView
 
 _logger = logging.getLogger(__name__)
+
+ASKED_WITHIN = 2.0
+"""Seconds that the API server has to answer at the start."""
 
 REPORTED_WITHIN = 1.0
 """Seconds in which the action proxy learns of it, before the monitor ends."""
@@ -31,9 +35,24 @@ async def end_if_deleted(view: ClusterView) -> None:
         if await _is_deleted(view):
             view.pod_deleted = True
             await asyncio.sleep(REPORTED_WITHIN)
-            raise PodDeleted(
-                f"pod {view.me.name} was deleted while this monitor could not reach the API server: it ends"
-            )
+            raise _ended(view)
+
+
+async def end_at_start_if_deleted(view: ClusterView) -> None:
+    """Ask once, before this monitor continues a recovery: its successor may carry it out already. Raises PodDeleted.
+
+    Kubernetes may start a container again whose pod is about to end. A server that does not answer does not delay the start for long.
+    """
+    if view.me is not None:
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(ASKED_WITHIN):
+                if await _is_deleted(view):
+                    raise _ended(view)
+
+
+def _ended(view: ClusterView) -> PodDeleted:
+    assert view.me is not None, "it was checked before"
+    return PodDeleted(f"pod {view.me.name} was deleted, which this monitor had not noticed: it ends")
 
 
 async def _is_deleted(view: ClusterView) -> bool:
