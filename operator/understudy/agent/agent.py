@@ -41,12 +41,12 @@ class Agent:
     """Implements :class:`understudy.agent.control_channel.AgentInterface`."""
 
     def __init__(self, identity: PodIdentity, probes: ProbeSender) -> None:
-        """Continue where an earlier agent of this pod stopped. Raises OSError when the shared volume cannot be used."""
+        """Continue where an earlier agent of this pod stopped. Raises OSError when a volume cannot be used."""
         self._identity, self._probes = identity, probes
         self._holds = HeldContainers(identity.directory, identity.held)
         self._holds.prepare()
-        self._memory = AgentMemory.load(identity.directory)
-        self._strengths = WriterStrengths(identity.directory)
+        self._memory = AgentMemory.load(identity.memory)
+        self._strengths = WriterStrengths(identity.directory, memory=identity.memory)
         self._interfaces = FurtherInterfaces(identity.ip)
         self.isolation = isolation.Isolation(
             identity.directory,
@@ -81,7 +81,7 @@ class Agent:
     async def begin(self) -> None:
         """Continue earlier work: finish a start that was interrupted, and evaluate the last tree.
 
-        Raises OSError if the shared volume cannot be used; a restart of the container tries again.
+        Raises OSError if a volume cannot be used; a restart of the container tries again.
         """
         if self._memory.configuration is not None:
             try:
@@ -259,6 +259,7 @@ class Agent:
         for container, variables in environment.items():
             if not _is_environment(variables):
                 raise Refused(f"environment of {container}: expected a mapping of variables to texts")
+        ros = _of_graph(ros)
         profiles = body.get("profiles") or ""
         if not isinstance(profiles, str):
             raise Refused(f"profiles: expected a text, not {type(profiles).__name__}")
@@ -287,7 +288,7 @@ class Agent:
         try:
             for variables in bound.variables(self._identity.held).values():
                 hold_script.env_file(variables)
-            bound.save(self._identity.directory)
+            bound.save(self._identity.memory)
         except (ValueError, OSError) as error:
             raise Refused(str(error)) from error
         return bound
@@ -376,11 +377,11 @@ class Agent:
     def _save(self) -> None:
         """Store the memory. A full volume must not end an agent."""
         try:
-            self._memory.save(self._identity.directory)
+            self._memory.save(self._identity.memory)
         except OSError as error:
             _logger.error(
                 "could not write the agent's state to %s, so it is lost if the agent restarts: %s",
-                self._identity.directory,
+                self._identity.memory,
                 error,
             )
 
@@ -394,9 +395,23 @@ def _is_environment(value: object) -> bool:
     return isinstance(value, dict) and all(isinstance(entry, str) for entry in value.values())
 
 
+def _of_graph(ros: Mapping[str, str]) -> dict[str, str]:
+    """Return the variables that describe a robot's ROS graph.
+
+    Others are left out: this process gets them too, and for example LD_LIBRARY_PATH decides which libraries the
+    middleware loads.
+    """
+    if others := sorted(ros.keys() - MIDDLEWARE.variables):
+        _logger.warning("left out of the environment of the robot's ROS graph: %s", ", ".join(others))
+    return {name: value for name, value in ros.items() if name in MIDDLEWARE.variables}
+
+
 def _enter(ros: Mapping[str, str]) -> None:
-    """Set a robot's ROS environment as this process's own; the middleware reads it when the node is created."""
-    os.environ.update(MIDDLEWARE.introspecting({**os.environ, **ros}))
+    """Set a robot's ROS environment as this process's own; the middleware reads it when the node is created.
+
+    In a pod of an older operator, the application can write what an earlier agent stored.
+    """
+    os.environ.update(MIDDLEWARE.introspecting({**os.environ, **_of_graph(ros)}))
 
 
 def _reported(moment: float | None) -> float | None:

@@ -21,7 +21,10 @@ NAME = "agent.json"
 
 @dataclass
 class AgentMemory:
-    """Stored in the emptyDir, which lives as long as the pod. Times are of the process's clock; in the file, of the system's."""
+    """Stored in the agent's own emptyDir, which lives as long as the pod.
+
+    Times are of the process's clock; in the file, of the system's.
+    """
 
     workload: str = ""
     """The workload that started the held containers; empty if none has."""

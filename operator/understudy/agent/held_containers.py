@@ -95,7 +95,7 @@ class HeldContainers:
         for container, text in files.items():
             path = self._directory / hold_script.env_name(container)
             if not path.exists():
-                # Other users must read it; the volume is in this pod only.
+                # The containers have users of their own; the volume is in this pod only.
                 write_atomically(path, text, 0o644)
         self.wake()
 
@@ -105,9 +105,7 @@ class HeldContainers:
             wake_fifo(self._directory / hold_script.wake_name(container))
 
     def _waits(self, container: str) -> bool:
-        """Whether the container's script has reported that it waits, and still has the FIFO open."""
-        if not (self._directory / hold_script.waiting_name(container)).exists():
-            return False
+        """Whether the container's script has the FIFO open, which it has only while it waits."""
         try:
             fifo = open_fifo(self._directory / hold_script.wake_name(container))
         except OSError:

@@ -20,7 +20,9 @@ class PodIdentity:
     held: tuple[str, ...]
     """Containers that wait for a claim."""
     directory: Path
-    """The emptyDir shared with the held containers."""
+    """The emptyDir shared with the application, which cannot write to it."""
+    memory: Path
+    """The agent's own emptyDir. In a pod of an older operator it is the shared one."""
     token_file: Path
     fenced: tuple[str, ...] = ()
     """Containers whose application can be frozen while the pod is isolated."""
@@ -37,6 +39,7 @@ class PodIdentity:
             raise ValueError(f"{', '.join(missing)} not set: the operator sets them in the container's env")
         workload = environment.get("UNDERSTUDY_WORKLOAD", "")
         held = tuple(environment.get("UNDERSTUDY_HELD_CONTAINERS", "").split())
+        directory = Path(environment.get("UNDERSTUDY_DIR", names.AGENT_DIR))
         if not workload and not held:
             raise ValueError(
                 "neither UNDERSTUDY_WORKLOAD nor UNDERSTUDY_HELD_CONTAINERS is set: a pod is a workload's, or held"
@@ -46,7 +49,8 @@ class PodIdentity:
             pod=environment["UNDERSTUDY_POD"],
             uid=environment["UNDERSTUDY_POD_UID"],
             held=held,
-            directory=Path(environment.get("UNDERSTUDY_DIR", names.AGENT_DIR)),
+            directory=directory,
+            memory=Path(environment.get(names.MEMORY_VARIABLE, directory)),
             token_file=Path(environment.get("UNDERSTUDY_TOKEN_FILE", f"{names.SECRET_DIR}/token")),
             fenced=tuple(environment.get(names.FENCED_VARIABLE, "").split()),
             unfenced=tuple(environment.get(names.UNFENCED_VARIABLE, "").split()),

@@ -32,20 +32,21 @@ _PROCESS = slice(0, 12)
 
 
 class WriterStrengths:
-    """The strengths file in the emptyDir, which lives as long as the pod."""
+    """The strengths of a pod, as long as the pod lives."""
 
-    def __init__(self, directory: Path, *, clock: Callable[[], float] = time.time) -> None:
-        self._directory, self._clock = directory, clock
+    def __init__(self, directory: Path, *, memory: Path | None = None, clock: Callable[[], float] = time.time) -> None:
+        """``directory`` contains the profiles. ``memory`` is the agent's own directory, if it has one."""
+        self._directory, self._memory, self._clock = directory, memory or directory, clock
         self._known: set[str] = set()
         self.range: tuple[int, int] | None = None
         """Lowest and highest strength of the instance's writers; None if it has none (yet)."""
         try:
-            kept = json.loads((directory / NAME).read_text())
+            kept = json.loads((self._memory / NAME).read_text())
             self._known, self.range = set(kept["processes"]), (int(kept["least"]), int(kept["most"]))
         except FileNotFoundError:
             pass
         except (OSError, ValueError, KeyError, TypeError) as error:
-            _logger.error("%s cannot be read, continuing without: %s", directory / NAME, error)
+            _logger.error("%s cannot be read, continuing without: %s", self._memory / NAME, error)
 
     def saw(self, writers: Iterable[bytes]) -> bool:
         """Note the GIDs of the instance's writers. Returns whether the range changed.
@@ -95,4 +96,4 @@ class WriterStrengths:
 
     def _keep(self, found: tuple[int, int]) -> None:
         kept = {"processes": sorted(self._known), "least": found[0], "most": found[1]}
-        write_atomically(self._directory / NAME, json.dumps(kept), 0o600)
+        write_atomically(self._memory / NAME, json.dumps(kept), 0o600)

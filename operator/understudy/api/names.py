@@ -147,7 +147,16 @@ TOKEN_VOLUME = "understudy-agent-token"
 """Volume of instances with the token that their agent accepts."""
 
 AGENT_VOLUME = "understudy"
+"""Volume that an instance's agent and application share. Only the agent and the init container write to it."""
+
 AGENT_DIR = "/understudy"
+
+MEMORY_VOLUME = "understudy-agent-memory"
+"""Volume that only the agent has."""
+
+MEMORY_DIR = "/var/lib/understudy-agent"
+MEMORY_VARIABLE = "UNDERSTUDY_MEMORY_DIR"
+"""Environment variable of the agent with its path."""
 SECRET_DIR = "/etc/understudy/agent"
 
 INIT_CONTAINER = "understudy-init"

@@ -37,6 +37,8 @@ class Middleware(ABC):
     """The environment variable with the path of a process's settings file."""
     common: ClassVar[Mapping[str, str]]
     """The environment of every ROS process of every robot."""
+    variables: ClassVar[frozenset[str]]
+    """The names of all environment variables that describe a ROS graph to a process."""
     introspection: ClassVar[Mapping[str, str]]
     """Further variables of a process that must see the whole graph, and not only the endpoints with which it exchanges
     data."""

@@ -46,7 +46,7 @@ class Pod:
         self._environment = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(profiles), "UNDERSTUDY_POD": name}
         # Judged by nothing: these tests are about goals.
         configuration = {"tree": TREE, "outputs": OUTPUTS, "grace": 60.0}
-        (self.inner.volume / "agent.json").write_text(json.dumps({"configuration": configuration}))
+        (self.inner.memory / "agent.json").write_text(json.dumps({"configuration": configuration}))
         self.inner.environment = {"UNDERSTUDY_WORKLOAD": "robot", **self._environment}
         self.agent: subprocess.Popen[bytes] | None = None
         self.application: Process

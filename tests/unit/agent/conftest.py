@@ -1,4 +1,4 @@
-"""A pod without Kubernetes: a real agent process, a folder for the emptyDir, real held containers."""
+"""A pod without Kubernetes: a real agent process, folders for the volumes, real held containers."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 
+from understudy.api import names
 from understudy.api.protocol import hold_script
 from understudy.kube.agent_client import AgentLink
 
@@ -38,6 +39,9 @@ class Pod:
         self.folder = folder
         self.volume = folder / "volume"
         self.volume.mkdir()
+        self.memory = folder / "memory"
+        """The agent's own volume."""
+        self.memory.mkdir()
         (folder / "token").write_bytes(TOKEN + b"\n")
         self.port, self.health_port = free_port(), free_port()
         self.agent: subprocess.Popen[bytes] | None = None
@@ -51,6 +55,7 @@ class Pod:
             "UNDERSTUDY_POD": "pool-abcde",
             "UNDERSTUDY_POD_UID": UID,
             "UNDERSTUDY_DIR": str(self.volume),
+            names.MEMORY_VARIABLE: str(self.memory),
             "UNDERSTUDY_TOKEN_FILE": str(self.folder / "token"),
             "UNDERSTUDY_AGENT_PORT": str(self.port),
             "UNDERSTUDY_AGENT_HEALTH_PORT": str(self.health_port),

@@ -12,6 +12,7 @@ import pytest
 from tests.support.agents import status_of
 from tests.unit.agent.conftest import TOKEN, UID, Pod, eventually
 from understudy.agent import process as running
+from understudy.agent.held_containers import HeldContainers
 from understudy.api.protocol import agent_messages as wire
 from understudy.kube.agent_client import AgentGone, AgentRefused
 from understudy.kube.gates.probes import ProbeReceiver, ProbeSender
@@ -186,7 +187,7 @@ async def test_a_tree_in_xml_is_accepted_and_survives_a_restart(pod: Pod, links)
     links.append(again := pod.link())
     await again.wait_connected(60)
     assert (await status_of(again)).configured
-    assert json.loads((pod.volume / "agent.json").read_text())["configuration"]["form"] == "xml"
+    assert json.loads((pod.memory / "agent.json").read_text())["configuration"]["form"] == "xml"
 
 
 async def test_only_the_workload_that_started_the_pod_commands_it(pod: Pod, links):
@@ -264,7 +265,7 @@ async def test_a_killed_agent_restarts_with_its_state(pod: Pod, links):
     assert link.status is None
     with pytest.raises(AgentGone):
         await status_of(link)
-    assert stat.S_IMODE((pod.volume / "agent.json").stat().st_mode) == 0o600
+    assert stat.S_IMODE((pod.memory / "agent.json").stat().st_mode) == 0o600
     pod.start_agent()
     links.append(other := pod.link("other", "x/1"))
     status = await link.wait_for(lambda s: True, 60)
@@ -276,7 +277,7 @@ async def test_a_killed_agent_restarts_with_its_state(pod: Pod, links):
 async def test_a_held_pods_agent_is_killed_and_the_pod_can_still_be_claimed(pod: Pod, links):
     pod.kill(pod.start_agent())
     pod.start_container(SAY)
-    await eventually((pod.volume / "waiting-app").exists)
+    await asyncio.sleep(0.2)
     pod.start_agent()
     links.append(link := pod.link())
     assert (await link.wait_for(lambda s: s.ready, 10)).phase == "Held"
@@ -293,13 +294,13 @@ async def test_an_interrupted_start_is_completed(pod: Pod, links):
     pod.kill(agent)
     (pod.volume / "env-app").unlink()
     pod.start_container(SAY)
-    await eventually((pod.volume / "waiting-app").exists)
+    await eventually(lambda: not HeldContainers(pod.volume, ["app"]).missing())
     pod.start_agent()
     await eventually(lambda: pod.output() == "domain 77, cut\n")
 
 
 async def test_unreadable_state_does_not_stop_an_agent(pod: Pod, links):
-    (pod.volume / "agent.json").write_text("{")
+    (pod.memory / "agent.json").write_text("{")
     pod.start_agent()
     links.append(link := pod.link())
     await link.wait_connected(60)

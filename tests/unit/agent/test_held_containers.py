@@ -32,10 +32,12 @@ def shell(request):
 
 @pytest.fixture
 def hold(shell, tmp_path):
-    """Start a held command; what it prints is in the file ``out``."""
+    """Start a held command beside an agent; what it prints is in the file ``out``."""
     processes = []
 
-    def start(command, args=(), warm_paths=(), env=None):
+    def start(command, args=(), warm_paths=(), env=None, agent=True):
+        if agent:
+            HeldContainers(tmp_path, ["app"]).prepare()
         _, *rest = hold_script.held_command("app", command, args, warm_paths, directory=str(tmp_path))
         with (tmp_path / "out").open("a") as out:
             process = subprocess.Popen([*shell, *rest], stdout=out, stderr=subprocess.STDOUT, env=env)
@@ -53,6 +55,10 @@ def wait_until(condition, within=DEADLINE):
     while not condition():
         assert time.monotonic() < end, "not in time"
         time.sleep(0.005)
+
+
+def waits(folder: Path) -> bool:
+    return not HeldContainers(folder, ["app"]).missing()
 
 
 def write_env(folder: Path, environment) -> None:
@@ -79,7 +85,7 @@ def cpu_ticks(pid: int) -> int:
 
 def test_a_held_container_waits_and_then_executes_its_command(hold, tmp_path):
     process = hold(["sh", "-c", 'echo "$GREETING $*"; echo $$', "name"], ["one", "two words"])
-    wait_until((tmp_path / "waiting-app").exists)
+    wait_until(lambda: waits(tmp_path))
     assert process.poll() is None
     write_env(tmp_path, {"GREETING": "hello"})
     assert wake(tmp_path)
@@ -89,7 +95,7 @@ def test_a_held_container_waits_and_then_executes_its_command(hold, tmp_path):
 
 def test_a_held_container_starts_within_half_a_second(hold, tmp_path):
     process = hold(["true"])
-    wait_until((tmp_path / "waiting-app").exists)
+    wait_until(lambda: waits(tmp_path))
     write_env(tmp_path, {})
     started_at = time.monotonic()
     wake(tmp_path)
@@ -99,7 +105,7 @@ def test_a_held_container_starts_within_half_a_second(hold, tmp_path):
 
 def test_a_held_container_uses_no_cpu_time(hold, tmp_path):
     process = hold(["true"])
-    wait_until((tmp_path / "waiting-app").exists)
+    wait_until(lambda: waits(tmp_path))
 
     def spent() -> tuple[int, str]:
         status = Path(f"/proc/{process.pid}/status").read_text()
@@ -118,13 +124,12 @@ def test_a_held_container_uses_no_cpu_time(hold, tmp_path):
 def test_a_start_at_any_moment_is_detected(hold, tmp_path, delay, prepared):
     holds = HeldContainers(tmp_path, ["app"])
     for _ in range(8):
-        if prepared:
-            holds.prepare()
-        process = hold(["true"])
+        process = hold(["true"], agent=prepared)
         time.sleep(delay * random.random())
+        holds.prepare()
         holds.start({})
         assert process.wait(DEADLINE) == 0
-        for name in ("env-app", "waiting-app", "wake-app"):
+        for name in ("env-app", "wake-app"):
             (tmp_path / name).unlink(missing_ok=True)
 
 
@@ -132,12 +137,12 @@ def test_a_container_that_starts_after_its_environment_does_not_wait(hold, tmp_p
     write_env(tmp_path, {"A": "1"})
     assert hold(["sh", "-c", "echo $A"]).wait(DEADLINE) == 0
     assert (tmp_path / "out").read_text() == "1\n"
-    assert not (tmp_path / "waiting-app").exists()
+    assert not waits(tmp_path)
 
 
 def test_a_wakeup_without_environment_does_not_start_the_command(hold, tmp_path):
     process = hold(["true"])
-    wait_until((tmp_path / "waiting-app").exists)
+    wait_until(lambda: waits(tmp_path))
     assert wake(tmp_path)
     assert wake(tmp_path)
     time.sleep(0.2)
@@ -146,7 +151,7 @@ def test_a_wakeup_without_environment_does_not_start_the_command(hold, tmp_path)
 
 def test_a_restart_of_the_agent_wakes_no_container(hold, tmp_path):
     process = hold(["true"])
-    wait_until((tmp_path / "waiting-app").exists)
+    wait_until(lambda: waits(tmp_path))
     before = cpu_ticks(process.pid)
     for _ in range(20):
         os.close(os.open(tmp_path / "wake-app", os.O_WRONLY | os.O_NONBLOCK))
@@ -157,7 +162,7 @@ def test_a_restart_of_the_agent_wakes_no_container(hold, tmp_path):
 
 def test_a_started_container_no_longer_reads_the_fifo(hold, tmp_path):
     hold(["sleep", "60"])
-    wait_until((tmp_path / "waiting-app").exists)
+    wait_until(lambda: waits(tmp_path))
     write_env(tmp_path, {})
     assert wake(tmp_path)
     wait_until(lambda: not wake(tmp_path))
@@ -166,7 +171,7 @@ def test_a_started_container_no_longer_reads_the_fifo(hold, tmp_path):
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_held_container_stops_on_a_signal(hold, tmp_path, number):
     process = hold(["true"])
-    wait_until((tmp_path / "waiting-app").exists)
+    wait_until(lambda: waits(tmp_path))
     time.sleep(0.05)
     process.send_signal(number)
     assert process.wait(DEADLINE) == 143
@@ -179,14 +184,14 @@ def test_a_warming_container_stops_on_a_signal(hold, tmp_path):
     (slow / "find").chmod(0o755)
     process = hold(["true"], warm_paths=["/etc"], env={"PATH": f"{slow}:{os.environ['PATH']}"})
     time.sleep(0.2)
-    assert not (tmp_path / "waiting-app").exists()
+    assert not waits(tmp_path)
     process.terminate()
     assert process.wait(2) == 143
 
 
 def test_the_command_gets_its_signals_back(hold, tmp_path):
     process = hold(["sleep", "60"])
-    wait_until((tmp_path / "waiting-app").exists)
+    wait_until(lambda: waits(tmp_path))
     write_env(tmp_path, {})
     wake(tmp_path)
     wait_until(lambda: b"sleep\x0060" in Path(f"/proc/{process.pid}/cmdline").read_bytes()[:9])
@@ -200,7 +205,7 @@ def test_warm_paths_are_read_and_missing_ones_are_ignored(hold, tmp_path):
     (warm / "deep" / "file").write_bytes(b"x" * 100_000)
     os.utime(warm / "deep" / "file", (0, 0))
     process = hold(["true"], warm_paths=["/not/there", str(warm), str(warm / "deep" / "file")])
-    wait_until((tmp_path / "waiting-app").exists)
+    wait_until(lambda: waits(tmp_path))
     # Reading is seen by the access time, where the mount keeps it (relatime does, for one older than the change).
     if "noatime" not in Path("/proc/mounts").read_text():
         assert (warm / "deep" / "file").stat().st_atime > 0
@@ -210,18 +215,12 @@ def test_warm_paths_are_read_and_missing_ones_are_ignored(hold, tmp_path):
     assert (tmp_path / "out").read_text() == ""
 
 
-def test_an_image_without_mkfifo_waits_for_the_agents_fifo(hold, tmp_path):
-    poor = tmp_path / "bin"
-    poor.mkdir()
-    for tool in ("sleep", "nice", "find", "cat", "true"):
-        (poor / tool).symlink_to(shutil.which(tool))
-    (poor / "mkfifo").write_text("#!/bin/false\n")
-    (poor / "mkfifo").chmod(0o755)
-    process = hold(["true"], env={"PATH": str(poor)})
+def test_a_container_that_starts_before_the_agent_waits_for_the_agents_fifo(hold, tmp_path):
+    process = hold(["true"], agent=False)
     time.sleep(0.3)
-    if not (tmp_path / "wake-app").exists():  # busybox has mkfifo built in
-        os.mkfifo(tmp_path / "wake-app")
-    wait_until((tmp_path / "waiting-app").exists)
+    assert list(tmp_path.iterdir()) == [tmp_path / "out"], "the container writes nothing"
+    HeldContainers(tmp_path, ["app"]).prepare()
+    wait_until(lambda: waits(tmp_path))
     write_env(tmp_path, {})
     wake(tmp_path)
     assert process.wait(DEADLINE) == 0

@@ -243,7 +243,7 @@ async def test_outputs_count_from_this_pod_and_inputs_from_the_robot(pod: Pod, r
         monkeypatch.setenv(key, value)
     tree = {"parallel": [TREE, {"topic": {"name": "/scan", "type": "std_msgs/msg/String", "gap": "1s"}}]}
     configuration = {"tree": tree, "outputs": OUTPUTS, "grace": 60.0}
-    (pod.volume / "agent.json").write_text(json.dumps({"configuration": configuration}))
+    (pod.memory / "agent.json").write_text(json.dumps({"configuration": configuration}))
     pod.environment = {"UNDERSTUDY_WORKLOAD": "robot"}
     with network() as lan:
         own, other, robot = lan.host("10.77.0.2"), lan.host("10.77.0.3"), lan.host("10.77.100.1")

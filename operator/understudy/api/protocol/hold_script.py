@@ -1,6 +1,7 @@
 """Makes a container of a held pod wait for its robot: a few lines of POSIX sh around the user's own command.
 
-The user's image needs ``sh`` and no other binary. Agent and script communicate through a shared emptyDir. The script opens its
+The user's image needs ``sh`` and no other binary. Agent and script communicate through a shared emptyDir, which the container cannot
+write to: opening a FIFO for writing is allowed on a read-only mount. The script opens its
 FIFO first and checks for the environment second; the agent writes the environment first and writes to the FIFO second. So neither
 can miss the other. Nothing polls, and a held container uses no CPU.
 """
@@ -14,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from understudy.api import names
 
 HOLD_SCRIPT = """\
-understudy_env=$1/env-$2 understudy_wake=$1/wake-$2 understudy_waiting=$1/waiting-$2
+understudy_env=$1/env-$2 understudy_wake=$1/wake-$2
 shift 2
 trap 'exit 143' TERM INT
 while [ "$1" != -- ]; do
@@ -26,10 +27,8 @@ while [ "$1" != -- ]; do
 done
 shift
 if [ ! -r "$understudy_env" ]; then
-  [ -p "$understudy_wake" ] || (umask 0; mkfifo "$understudy_wake") 2>/dev/null
   until [ -p "$understudy_wake" ]; do sleep 0.1; done
   exec 3<>"$understudy_wake"
-  : >"$understudy_waiting"
   until [ -r "$understudy_env" ]; do read -r understudy_line <&3 || sleep 1; done
   exec 3<&-
 fi
@@ -41,7 +40,7 @@ exec "$@"
 - PID 1 gets no signal that it doesn't trap, and a trap waits for a foreground child, so warming runs beside ``wait``.
 - Warming is nice: other pods of the node drive robots. ``-xdev`` keeps it out of /proc. A missing path is no error.
 - Opening the FIFO for reading and writing doesn't block and never sees the end of the file when the agent goes.
-- An image without ``mkfifo`` waits for the agent to make the FIFO.
+- The agent makes the FIFO. A container that starts before the agent looks for it ten times a second.
 - Once the environment is there, a restart of the container goes straight on to the command.
 """
 
@@ -78,7 +77,7 @@ def wake_name(container: str) -> str:
 
 
 def waiting_name(container: str) -> str:
-    """Empty file that the script writes when it has read its warm paths and waits."""
+    """What agents up to 0.1.0 look for besides the reader of the FIFO."""
     return f"waiting-{container}"
 
 

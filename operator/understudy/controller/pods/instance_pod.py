@@ -36,6 +36,8 @@ HARDENED: Object = {
 }
 """Security context of Understudy's own containers."""
 
+_VOLUMES = (names.AGENT_VOLUME, names.MEMORY_VOLUME, names.TOKEN_VOLUME, names.INSTANCE_PROFILES_VOLUME)
+
 DEFAULT_CONTAINER = "kubectl.kubernetes.io/default-container"
 """Annotation of a pod with the container whose logs kubectl shows by default."""
 
@@ -114,7 +116,7 @@ def problem(template: Mapping[str, Any], *, held: bool, path: str, gate: GateKin
                 "must know its command. Set command in the template (the entry point of the image cannot be used)"
             )
     for volume in spec.get("volumes") or []:
-        if volume.get("name") in (names.AGENT_VOLUME, names.TOKEN_VOLUME, names.INSTANCE_PROFILES_VOLUME):
+        if volume.get("name") in _VOLUMES:
             return f"{path}.spec.volumes has {volume['name']}, which Understudy's sidecar uses. Choose another name"
     return None
 
@@ -150,6 +152,7 @@ def build(template: Mapping[str, Any], recipe: Recipe) -> Object:
     spec["volumes"] = [
         *(spec.get("volumes") or []),
         {"name": names.AGENT_VOLUME, "emptyDir": {}},
+        {"name": names.MEMORY_VOLUME, "emptyDir": {}},
         {"name": names.TOKEN_VOLUME, "secret": {"secretName": recipe.secret, "defaultMode": 0o444}},
     ]
     if recipe.profiles:
@@ -325,9 +328,18 @@ def _held(container: Object, recipe: Recipe, scope: freeze_script.Scope) -> Obje
     made.pop("args", None)
     made["volumeMounts"] = [
         *(container.get("volumeMounts") or []),
-        {"name": names.AGENT_VOLUME, "mountPath": names.AGENT_DIR},
+        {"name": names.AGENT_VOLUME, "mountPath": names.AGENT_DIR, "readOnly": True},
     ]
     return made
+
+
+def _seen_waiting(container: str) -> Object:
+    """Return a mount that makes an agent up to 0.1.0, from a user's own image, find that a held container waits.
+
+    It asks for a file that such a container wrote beside the FIFO, before the volume was read-only for it. The FIFO alone is right too.
+    """
+    path = f"{names.AGENT_DIR}/{hold_script.waiting_name(container)}"
+    return {"name": names.MEMORY_VOLUME, "mountPath": path, "subPath": "waiting"}
 
 
 def _fenced(container: Object, scope: freeze_script.Scope) -> Object:
@@ -346,8 +358,9 @@ def _agent(recipe: Recipe, held: Sequence[str], fenced: Sequence[str], unfenced:
         names.WORKLOAD_VARIABLE: recipe.workload,
         "UNDERSTUDY_NAMESPACE": recipe.namespace,
         "UNDERSTUDY_HELD_CONTAINERS": " ".join(held),
-        "HOME": names.AGENT_DIR,
-        "ROS_LOG_DIR": f"{names.AGENT_DIR}/log",
+        names.MEMORY_VARIABLE: names.MEMORY_DIR,
+        "HOME": names.MEMORY_DIR,
+        "ROS_LOG_DIR": f"{names.MEMORY_DIR}/log",
         **MIDDLEWARE.introspecting(recipe.variables),
     }
     profiles = [_profiles_mount(recipe)] if recipe.profiles and not recipe.prepared else []
@@ -376,7 +389,9 @@ def _agent(recipe: Recipe, held: Sequence[str], fenced: Sequence[str], unfenced:
         "securityContext": copy.deepcopy(HARDENED),
         "volumeMounts": [
             {"name": names.AGENT_VOLUME, "mountPath": names.AGENT_DIR},
+            {"name": names.MEMORY_VOLUME, "mountPath": names.MEMORY_DIR},
             {"name": names.TOKEN_VOLUME, "mountPath": names.SECRET_DIR, "readOnly": True},
             *profiles,
+            *(_seen_waiting(container) for container in held),
         ],
     }

@@ -28,6 +28,19 @@ class FastDds(Middleware):
     common = {"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp", "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}  # noqa: RUF012
     """UDP only: over shared memory, topics of other containers are discovered but carry no data."""
 
+    variables = frozenset(
+        {
+            "ROS_DOMAIN_ID",
+            "ROS_AUTOMATIC_DISCOVERY_RANGE",
+            "ROS_STATIC_PEERS",
+            "ROS_SUPER_CLIENT",
+            "RMW_IMPLEMENTATION",
+            "FASTDDS_BUILTIN_TRANSPORTS",
+            SERVER_VARIABLE,
+            settings_variable,
+        }
+    )
+
     introspection = {"ROS_SUPER_CLIENT": "TRUE"}  # noqa: RUF012
     """A plain client of a discovery server discovers matching endpoints only, so it could never learn a topic's
     type."""
