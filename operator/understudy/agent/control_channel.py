@@ -24,12 +24,13 @@ from typing import Any, Protocol
 from understudy.api import names
 from understudy.api.protocol import agent_messages as wire
 from understudy.api.protocol.agent_messages import AgentStatus, GateEpoch, ProtocolError
+from understudy.process import connection_limits
+from understudy.process.connection_limits import ConnectionLimits
 
 _logger = logging.getLogger(__name__)
 
-MOST_PENDING = 16
-"""Sessions that have not proved the token yet. One more ends the oldest, so that strangers cannot keep a monitor
-out."""
+PENDING = 64, 8
+"""Sessions that have not proved the token yet, in all and of one address, so that strangers cannot keep a monitor out."""
 
 MOST_SESSIONS = 8
 """Sessions that have proved the token. A workload has one monitor, and for a moment two."""
@@ -164,13 +165,15 @@ class ControlChannel:
 
     def __init__(self, served: AgentInterface) -> None:
         self._served = served
-        self._pending: dict[asyncio.StreamWriter, None] = {}
+        self._pending = ConnectionLimits(*PENDING)
         self._sessions: list[_Session] = []
         self._last_refusal = ""
 
     async def serve(self, port: int = names.AGENT_PORT, *, host: str | None = None) -> asyncio.Server:
         """Listen on a host; on all addresses if none is given. Raises OSError."""
-        return await asyncio.start_server(self._connected, host, port, limit=wire.MAX_GREETING)
+        return await connection_limits.start_server(
+            self._connected, host, port, limit=wire.MAX_GREETING, limits=self._pending
+        )
 
     @property
     def count(self) -> int:
@@ -205,17 +208,10 @@ class ControlChannel:
         host = writer.get_extra_info("peername", ("?",))[0]
         try:
             self._limit_silence(writer)
-            while len(self._pending) >= MOST_PENDING:
-                oldest = next(iter(self._pending))
-                del self._pending[oldest]
-                oldest.transport.abort()
-            self._pending[writer] = None
-            try:
-                async with asyncio.timeout(GREETING):
-                    session = await self._let_in(reader, writer, host)
-            finally:
-                self._pending.pop(writer, None)
+            async with asyncio.timeout(GREETING):
+                session = await self._let_in(reader, writer, host)
             if session is not None:
+                self._pending.release(writer.transport)
                 await self._follow(session)
         except (OSError, EOFError, ProtocolError) as error:
             _logger.debug("session of %s: %r", host, error)

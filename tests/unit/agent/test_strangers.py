@@ -1,0 +1,106 @@
+"""Connections to an agent that prove nothing, from other pods than the monitor's."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Iterator
+
+import pytest
+
+from tests.support.agents import IdleAgent
+from understudy.agent.control_channel import PENDING, ControlChannel
+from understudy.api.protocol import agent_messages as wire
+from understudy.kube.agent_client import AgentLink
+
+Connection = tuple[asyncio.StreamReader, asyncio.StreamWriter]
+
+
+@pytest.fixture
+async def port() -> AsyncIterator[int]:
+    """An agent's."""
+    server = await ControlChannel(IdleAgent()).serve(0, host="0.0.0.0")
+    yield server.sockets[0].getsockname()[1]
+    server.close()
+
+
+class Strangers:
+    """Sessions that stay pending."""
+
+    def __init__(self, port: int) -> None:
+        self._port = port
+        self._writers: list[asyncio.StreamWriter] = []
+
+    async def connect(self, address: str, times: int = 1) -> None:
+        for _ in range(times):
+            reader, writer = await asyncio.open_connection("127.0.0.1", self._port, local_addr=(address, 0))
+            self._writers.append(writer)
+            with contextlib.suppress(ConnectionError):
+                await reader.readline()
+
+    def close(self) -> None:
+        for writer in self._writers:
+            writer.transport.abort()
+
+
+@pytest.fixture
+def strangers(port: int) -> Iterator[Strangers]:
+    made = Strangers(port)
+    yield made
+    made.close()
+
+
+async def greeted(port: int) -> tuple[Connection, str]:
+    """A monitor's connection, and the nonce that it was sent."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port, local_addr=("127.0.0.1", 0))
+    return (reader, writer), wire.decode(await reader.readline())["nonce"]
+
+
+async def assert_let_in(connection: Connection, nonce: str) -> None:
+    """The monitor proves the token, and receives the status."""
+    reader, writer = connection
+    writer.write(wire.encode({"workload": "w", "claim": "", "mac": wire.mac(IdleAgent.secret, nonce, "w", "")}))
+    async with asyncio.timeout(5):
+        assert "status" in wire.decode(await reader.readline())
+    writer.close()
+
+
+async def test_a_flood_from_one_pod_does_not_keep_the_monitor_out(port: int, strangers: Strangers) -> None:
+    monitor = await greeted(port)
+    await strangers.connect("127.0.0.2", 200)
+    await assert_let_in(*monitor)
+
+
+async def test_a_flood_from_several_pods_does_not_keep_the_monitor_out(port: int, strangers: Strangers) -> None:
+    most, most_of_one = PENDING
+    pods = [f"127.0.0.{2 + number}" for number in range(most // most_of_one + 2)]
+    for pod in pods:
+        await strangers.connect(pod, most_of_one)
+    monitor = await greeted(port)
+    for pod in pods:
+        await strangers.connect(pod, most)
+    await assert_let_in(*monitor)
+
+
+async def test_a_monitor_connects_during_a_flood(port: int, strangers: Strangers) -> None:
+    flood = asyncio.create_task(strangers.connect("127.0.0.2", 10_000))
+    link = AgentLink("127.0.0.1", port, IdleAgent.secret, "w", "")
+    try:
+        await asyncio.sleep(0.2)
+        await link.wait_connected(5)
+        assert link.status is not None
+    finally:
+        flood.cancel()
+        await link.close()
+
+
+async def test_sessions_of_monitors_do_not_count_as_pending(port: int, strangers: Strangers) -> None:
+    """A monitor may share its address with strangers, behind a network that translates addresses."""
+    link = AgentLink("127.0.0.1", port, IdleAgent.secret, "w", "")
+    try:
+        await link.wait_connected(5)
+        await strangers.connect("127.0.0.1", 100)
+        await asyncio.sleep(0.2)
+        assert link.connected
+    finally:
+        await link.close()
