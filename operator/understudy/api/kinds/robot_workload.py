@@ -208,7 +208,9 @@ class MonitorSettings(Model):
     image: str | None = Field(default=None, min_length=1, max_length=512)
     """Image of the monitor. Set it if the default image does not contain your message types."""
     resources: UnknownContent | None = None
-    """Resource requests and limits of the monitor container, as in a pod."""
+    """Resource requests and limits of the monitor container, as in a pod. Absent: the memory limit of the chart
+    (monitors.memoryLimit), and none if spec.blackBox.memory and twice spec.state.maxBytes of the policy are half of it or
+    more."""
     diagnostics: bool = False
     """Publish the state of the workload on /diagnostics, every second and immediately when its level changes, for ROS
     tools. Health trees ignore these messages. See docs/ros-tools.md."""

@@ -196,9 +196,10 @@ def _monitor(
     ]
     live = observed.owned.get((DEPLOYMENTS.plural, names.monitor(name)))
     if workload_plan.policy_problem is not None:
-        claim = monitor_deployment.claimed(live)
+        policy, claim = None, monitor_deployment.claimed(live)
     else:
-        claim = policy_reader.spec(observed.policies[spec.failure_policy_ref.name]).state.storage.claim_name
+        policy = policy_reader.spec(observed.policies[spec.failure_policy_ref.name])
+        claim = policy.state.storage.claim_name
     placement = monitor_placement.placement(observed)
     if placement.again_after is not None:
         made.later(placement.again_after)
@@ -212,6 +213,7 @@ def _monitor(
         gate=spec.gate.kind,
         tasks=action_proxy_container.proxied(spec),
         claim=claim,
+        limited=monitor_deployment.limited(policy, live, images),
         apart_from=placement.apart_from,
     )
     for kind, granted in monitor_deployment.access(

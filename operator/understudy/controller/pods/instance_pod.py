@@ -14,7 +14,7 @@ from typing import Any
 from understudy.api import names
 from understudy.api.protocol import freeze_script, hold_script
 from understudy.controller.observed import kube_objects
-from understudy.controller.plan import Images, from_field, pull_secrets, variables
+from understudy.controller.plan import Images, from_field, pull_secrets, resources, variables
 from understudy.controller.pods import pod_placement, template_shape
 from understudy.kube import claims
 from understudy.kube.apply import digest
@@ -300,7 +300,7 @@ def _prepare(recipe: Recipe, fenced: Sequence[str]) -> Object:
         "imagePullPolicy": recipe.images.pull_policy,
         "args": ["prepare"],
         "env": [*fences, from_field(names.POD_VARIABLE, "metadata.name")],
-        "resources": {"requests": dict(AGENT_REQUESTS)},
+        "resources": resources(recipe.images, AGENT_REQUESTS),
         "securityContext": copy.deepcopy(HARDENED),
         "volumeMounts": [
             {"name": names.AGENT_VOLUME, "mountPath": names.AGENT_DIR},
@@ -385,7 +385,7 @@ def _agent(recipe: Recipe, held: Sequence[str], fenced: Sequence[str], unfenced:
             "timeoutSeconds": 1,
             "failureThreshold": 2,
         },
-        "resources": {"requests": dict(AGENT_REQUESTS)},
+        "resources": resources(recipe.images, AGENT_REQUESTS),
         "securityContext": copy.deepcopy(HARDENED),
         "volumeMounts": [
             {"name": names.AGENT_VOLUME, "mountPath": names.AGENT_DIR},

@@ -21,7 +21,8 @@ from pathlib import Path
 from prometheus_client import generate_latest
 
 from understudy.api import names
-from understudy.controller.plan import Images
+from understudy.api.quantities import amount
+from understudy.controller.plan import MEMORY_LIMIT, Images
 from understudy.controller.reconcile import operator_metrics
 from understudy.controller.reconcile.executor import MANAGER, Executor
 from understudy.controller.reconcile.expectations import Expectations
@@ -193,6 +194,14 @@ def options(argv: Sequence[str]) -> tuple[argparse.Namespace, Options]:
         "(default: UNDERSTUDY_METRICS_FROM, or else nobody)",
     )
     parser.add_argument(
+        "--memory-limit",
+        type=_quantity,
+        default=environment("UNDERSTUDY_MEMORY_LIMIT", MEMORY_LIMIT),
+        metavar="QUANTITY",
+        help="memory limit of each container of monitors, agents and discovery servers; empty for none "
+        f"(default: UNDERSTUDY_MEMORY_LIMIT, or else {MEMORY_LIMIT})",
+    )
+    parser.add_argument(
         "--rollout-percent",
         type=_percent,
         default=environment("UNDERSTUDY_ROLLOUT_PERCENT", str(PERCENT)),
@@ -249,6 +258,7 @@ def options(argv: Sequence[str]) -> tuple[argparse.Namespace, Options]:
             tuple(filter(None, secrets)),
             parsed.priority_class,
             parsed.metrics_from,
+            parsed.memory_limit,
         ),
         lease_namespace=parsed.lease_namespace,
         lease=parsed.lease,
@@ -274,6 +284,15 @@ def _peers(text: str) -> tuple[Object, ...]:
     if not isinstance(found, list) or not all(isinstance(peer, dict) for peer in found):
         raise argparse.ArgumentTypeError(f"{text:.100!r} is not a list of the peers of a NetworkPolicy")
     return tuple(found)
+
+
+def _quantity(text: str) -> str:
+    try:
+        if text:
+            amount(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+    return text
 
 
 def _own_namespace() -> str:
