@@ -270,7 +270,7 @@ async def test_a_correct_monitor_commits_and_records_at_its_gate(
         commitment(closed, active=STANDBY, active_uid="uid-b", recovery="{}", let_through='[{"a": 1}]')
     )
     assert (GateRecord.of(opened).epoch, GATE.let_through(opened)) == (9, (STANDBY,))
-    ended = await write(GATE.ending(over=GateRecord.of(opened), recovery='{"result": "Recovered"}'))
+    ended = await write(GATE.noting(over=GateRecord.of(opened), recovery='{"result": "Recovered"}'))
     overtaken = await write(GATE.overtaking(over=GateRecord.of(ended), recovery="r"))
     with pytest.raises(ApiError) as refused:
         await write(commitment(ended, active=ACTIVE, active_uid="uid-a"))

@@ -75,7 +75,7 @@ def test_the_policy_of_gates_allows_the_record_that_the_code_writes(render: Rend
         GATE.commitment("w", over=record, active="w-a", let_through="[]", waits_for="spare"),
         GATE.commitment("w", over=record, fenced=2),
         GATE.admission("w", over=record, admitted="w-b", admitted_uid="uid-b", let_through="[]"),
-        GATE.ending(over=record, recovery="{}"),
+        GATE.noting(over=record, recovery="{}"),
         GATE.overtaking(over=record, recovery="r"),
     ]
     annotations = {key for patch in patches for key in patch["metadata"]["annotations"]}
@@ -100,7 +100,9 @@ def test_the_policy_of_labels_uses_the_names_of_the_code(render: Render) -> None
 def test_the_policy_of_new_pods_names_the_labels_that_the_code_selects_by(render: Render) -> None:
     policy = one(render(), "ValidatingAdmissionPolicy", "understudy-new-pods")
     text = " ".join(yaml.safe_dump(policy, width=10_000).replace("''", "'").split())
-    listed = ", ".join(f"'{label}'" for label in (names.WORKLOAD, names.INSTANCE, names.POOL, names.HELD))
+    listed = ", ".join(
+        f"'{label}'" for label in (names.WORKLOAD, names.INSTANCE, names.POOL, names.HELD, names.MONITORED)
+    )
     assert text.count(f"[{listed}]") == 2
 
 
