@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from tests.e2e.conftest import SYSTEM
 from tests.e2e.kubectl import Kubectl, Object
 from tests.e2e.scenario import eventually, never
 
@@ -304,9 +305,10 @@ def test_the_action_proxy_of_a_replaced_monitor_ends(kubectl: Kubectl) -> None:
     cell.wait_protected()
     first = cell.proxy_pod()
     template = kubectl.get("deployment", f"{NAME}-monitor")["spec"]["template"]
-    kubectl.apply(
-        [template | {"apiVersion": "v1", "kind": "Pod", "metadata": template["metadata"] | {"name": "second"}}]
-    )
+    second = template | {"apiVersion": "v1", "kind": "Pod", "metadata": template["metadata"] | {"name": "second"}}
+    # Nobody else may create a pod with a monitor's labels.
+    operator = f"--as=system:serviceaccount:{SYSTEM}:understudy-operator"
+    kubectl("create", "-f", "-", operator, given=json.dumps(second))
 
     def has_ended() -> bool:
         said = kubectl("logs", first, "-c", "tasks")  # of the next container, if that runs already
