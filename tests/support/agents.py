@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
+import secrets
 
+from understudy.api.protocol import agent_messages as wire
 from understudy.api.protocol.agent_messages import AgentStatus, GateEpoch
+from understudy.api.protocol.session_keys import legacy_proof
 from understudy.kube.agent_client import AgentLink
 
 
@@ -18,15 +20,12 @@ async def status_of(link: AgentLink) -> AgentStatus:
 class IdleAgent:
     """What a control channel asks an agent whose instance does nothing, except for its operations."""
 
-    secret = b"secret"
+    secret, uid = b"secret", "1"
 
     def __init__(self) -> None:
         self.version = 0
         self.epochs: list[GateEpoch] = []
         """Of the requests."""
-
-    def greeting(self) -> Mapping[str, str]:
-        return {"pod": "robot-1", "uid": "1"}
 
     def token(self) -> bytes:
         return self.secret
@@ -43,3 +42,17 @@ class IdleAgent:
 
     async def changed(self, version: int) -> None:
         await asyncio.Event().wait()
+
+
+async def old_session(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, *, uid: str, token: bytes) -> None:
+    """A session of an agent of version 0.2.0, which knows version 1 of the protocol only and accepts every request."""
+    nonce = secrets.token_hex(16)
+    writer.write(wire.encode({"nonce": nonce, "pod": "robot-1", "uid": uid, "version": 1}))
+    answer = wire.decode(await reader.readline())
+    if answer["mac"] != legacy_proof(token, nonce, answer["workload"], answer["claim"]):
+        writer.write(wire.encode({"error": "authentication failed"}))
+        writer.close()
+        return
+    writer.write(wire.encode({"status": AgentStatus("Running", True).to_wire(), "number": 1}))
+    while line := await reader.readline():
+        writer.write(wire.encode({"id": wire.decode(line)["id"], "ok": True}))

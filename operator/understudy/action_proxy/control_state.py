@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from understudy.api.protocol.agent_messages import GateEpoch
+from understudy.api.protocol.agent_messages import PROTOCOL, GateEpoch
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,8 @@ class Peer:
     claim: str
     executing: bool = False
     """Whether it is an executing standby, which receives all goals too."""
+    protocol: int = PROTOCOL
+    """Version of the agents' protocol that its agent knows at least."""
 
 
 @dataclass(frozen=True)

@@ -117,9 +117,10 @@ class Agent:
 
     # -- what a monitor sees ----------------------------------------------------------------------------------------
 
-    def greeting(self) -> Mapping[str, str]:
-        """Return the name and UID of the pod."""
-        return {"pod": self._identity.pod, "uid": self._identity.uid}
+    @property
+    def uid(self) -> str:
+        """The UID of the pod."""
+        return self._identity.uid
 
     def token(self) -> bytes:
         """Return the shared secret. Raises OSError."""

@@ -1,7 +1,7 @@
 """The control channel: authenticates monitors, carries out their requests, and reports the instance's state.
 
-Nothing from the network is trusted before its message authentication code (MAC) is verified. An error in a session ends
-only that session.
+Nothing from the network is trusted before its message authentication code (MAC) is verified (api/protocol/secure_channel.py). An error in
+a session ends only that session.
 """
 
 from __future__ import annotations
@@ -9,21 +9,22 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import fcntl
-import hmac
 import logging
-import secrets
 import socket
 import struct
 import termios
 import time
 from collections import deque
 from collections.abc import Awaitable, Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from understudy.api import names
 from understudy.api.protocol import agent_messages as wire
+from understudy.api.protocol import secure_channel
 from understudy.api.protocol.agent_messages import AgentStatus, GateEpoch, ProtocolError
+from understudy.api.protocol.secure_channel import AuthenticationFailed, Channel
+from understudy.api.protocol.session_keys import NotAuthentic
 from understudy.process import connection_limits
 from understudy.process.connection_limits import ConnectionLimits
 
@@ -64,6 +65,8 @@ class Peer:
     claim: str
     host: str
     """IP address."""
+    probe_key: bytes = field(default=b"", repr=False)
+    """Authenticates the gate probes that it requests; empty if its version of the protocol has none."""
 
 
 Operation = Callable[[Mapping[str, Any], Peer], Awaitable[Mapping[str, Any] | None]]
@@ -73,8 +76,9 @@ Operation = Callable[[Mapping[str, Any], Peer], Awaitable[Mapping[str, Any] | No
 class AgentInterface(Protocol):
     """The agent, as the sessions use it."""
 
-    def greeting(self) -> Mapping[str, str]:
-        """Return the name (``pod``) and ``uid`` of the pod."""
+    @property
+    def uid(self) -> str:
+        """The UID of the pod."""
 
     def token(self) -> bytes:
         """Return the shared secret. Raises OSError."""
@@ -102,10 +106,10 @@ class AgentInterface(Protocol):
 class _Session:
     """A connection whose other side has proved the token."""
 
-    def __init__(self, peer: Peer, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self.peer = peer
+    def __init__(self, channel: Channel, host: str, writer: asyncio.StreamWriter) -> None:
+        self.peer = Peer(channel.workload, channel.claim, host, channel.probe_key)
         self.events: asyncio.Queue[Mapping[str, Any]] = asyncio.Queue(MOST_EVENTS)
-        self._reader, self._writer = reader, writer
+        self._channel, self._writer = channel, writer
         self._sending = asyncio.Lock()
         self._statuses = 0
         """How many statuses were sent."""
@@ -113,9 +117,8 @@ class _Session:
         """The numbers of the statuses that were sent of late, and when (monotonic seconds)."""
 
     async def send(self, message: Mapping[str, Any]) -> None:
-        line = wire.encode(message)
         async with self._sending, asyncio.timeout(SEND):
-            self._writer.write(line)
+            self._channel.write(message)
             await self._writer.drain()
 
     async def send_status(self, status: AgentStatus) -> None:
@@ -134,7 +137,7 @@ class _Session:
         return not any(number == seen and now - sent <= wire.FRESH for number, sent in self._recent)
 
     async def receive(self) -> dict[str, Any]:
-        return wire.decode(await read_line(self._reader, wire.MAX_LINE))
+        return await self._channel.read()
 
     async def end(self, reason: str) -> None:
         with contextlib.suppress(OSError):
@@ -231,35 +234,25 @@ class ControlChannel:
             sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     async def _let_in(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, host: str) -> _Session | None:
-        nonce = secrets.token_hex(16)
-        writer.write(wire.encode({"nonce": nonce, **self._served.greeting(), "version": wire.PROTOCOL}))
-        answer = wire.decode(await read_line(reader, wire.MAX_GREETING))
-        peer = Peer(str(answer.get("workload", "")), str(answer.get("claim", "")), host)
-        refusal = self._check(nonce, peer, str(answer.get("mac", "")))
-        if refusal is not None:
-            self._note_refusal(f"{host} (workload {peer.workload!r}, claim {peer.claim!r}): {refusal}")
-            writer.write(wire.encode({"error": refusal}))
-            await writer.drain()
+        try:
+            channel = await secure_channel.accept(reader, writer, uid=self._served.uid, token=self._served.token)
+        except AuthenticationFailed as failed:
+            self._note_refusal(host, failed.workload, failed.claim, str(failed))
             return None
-        return _Session(peer, reader, writer)
+        session = _Session(channel, host, writer)
+        peer = session.peer
+        if (refusal := self._served.refuses(peer.workload, peer.claim)) is not None:
+            self._note_refusal(host, peer.workload, peer.claim, refusal)
+            await session.end(refusal)
+            return None
+        return session
 
-    def _note_refusal(self, text: str) -> None:
+    def _note_refusal(self, host: str, workload: str, claim: str, reason: str) -> None:
         """Log a refusal once: a refused monitor tries again and again."""
+        text = f"{host} (workload {workload!r:.200}, claim {claim!r:.200}): {reason}"
         if text != self._last_refusal:
             self._last_refusal = text
             _logger.warning("refused %s", text)
-
-    def _check(self, nonce: str, peer: Peer, proof: str) -> str | None:
-        try:
-            token = self._served.token()
-        except OSError as error:
-            return f"the agent cannot read its token: {error.strerror}"
-        if not token:
-            return "the agent's token is empty"
-        right = wire.mac(token, nonce, peer.workload, peer.claim)
-        if not hmac.compare_digest(right.encode(), proof.encode()):
-            return "authentication failed: the monitor and the agent have different tokens"
-        return self._served.refuses(peer.workload, peer.claim)
 
     async def _follow(self, session: _Session) -> None:
         while len(self._sessions) >= MOST_SESSIONS:
@@ -280,6 +273,8 @@ class ControlChannel:
                 task = asyncio.create_task(self._serve(request, session))
                 working.add(task)
                 task.add_done_callback(working.discard)
+        except NotAuthentic as error:
+            self._note_refusal(peer.host, peer.workload, peer.claim, str(error))
         finally:
             for task in working:
                 task.cancel()
@@ -345,23 +340,3 @@ class ControlChannel:
         if op == "start":
             await self.end_refused()
         return {**(found or {}), "id": number, "ok": True}
-
-
-async def read_line(reader: asyncio.StreamReader, most: int) -> bytes:
-    """Return a line of at most ``most`` bytes, with its line end, whatever the reader's own limit.
-
-    Raises EOFError if the other side closes the connection, ProtocolError if the line is longer.
-    """
-    parts: list[bytes] = []
-    size = 0
-    while True:
-        try:
-            part = await reader.readuntil(b"\n")
-        except asyncio.LimitOverrunError as overrun:
-            part = await reader.readexactly(overrun.consumed)
-        size += len(part)
-        if size > most:
-            raise ProtocolError(f"a line of more than {most} bytes")
-        parts.append(part)
-        if part.endswith(b"\n"):
-            return b"".join(parts)

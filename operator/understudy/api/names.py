@@ -181,6 +181,10 @@ POD_VARIABLE = "UNDERSTUDY_POD"
 POD_UID_VARIABLE = "UNDERSTUDY_POD_UID"
 """Environment variable with the UID of the pod."""
 
+AGENT_PROTOCOL_VARIABLE = "UNDERSTUDY_AGENT_PROTOCOL"
+"""Environment variable of an agent's container with the version of the protocol that the agent knows at least. Monitors read it from the
+pod's spec and accept no older version. Pods of Understudy before version 0.3 do not have it."""
+
 GATE_KIND_VARIABLE = "UNDERSTUDY_GATE_KIND"
 """The kind of a workload's gate (``spec.gate.kind``), for its monitor."""
 

@@ -12,6 +12,7 @@ from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from understudy.api.protocol.agent_messages import PROTOCOL
 from understudy.api.protocol.kept_state import KeptState, RestoreReport
 from understudy.failover.bring_up import BringUp
 from understudy.failover.pinned import PinnedPod
@@ -63,6 +64,8 @@ class Instance:
     node: str = ""
     """The node where it runs."""
     has_agent: bool = True
+    agent_protocol: int = PROTOCOL
+    """Version of the agents' protocol that its agent knows at least."""
     claim: str = ""
     template_hash: str = ""
     created: str = ""

@@ -11,7 +11,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from understudy.api.protocol import agent_messages as wire
-from understudy.api.protocol.agent_messages import AgentStatus, GateEpoch, ProtocolError
+from understudy.api.protocol import secure_channel
+from understudy.api.protocol.agent_messages import PROTOCOL, AgentStatus, GateEpoch, ProtocolError
+from understudy.api.protocol.secure_channel import AgentDeclined, Channel
 
 _logger = logging.getLogger(__name__)
 
@@ -49,24 +51,30 @@ class AgentLink:
         workload: str,
         claim: str,
         *,
+        uid: str,
+        pod: str = "",
+        protocol: int = PROTOCOL,
         epoch: Callable[[], GateEpoch] = GateEpoch,
         on_change: Callable[[AgentLink], None] | None = None,
         on_event: Callable[[AgentLink, Mapping[str, Any]], None] | None = None,
     ) -> None:
-        """Start to connect to an agent.
+        """Start to connect to the agent of the pod with this UID; ``pod`` is its name, for messages.
 
-        ``epoch`` returns the epoch of the gate as this side knows it, which every request carries.
+        ``protocol`` is the version of the protocol that the agent knows at least. An older one is not accepted, because somebody else
+        could answer at the pod's address. ``epoch`` returns the epoch of the gate as this side knows it, which every request carries.
         ``on_change`` is called with each status, and when the connection is made or lost; ``on_event`` with each event.
         Events that happen while there is no connection are lost. A caller that depends on them must ask again after
         reconnecting.
         """
         self.host, self.port, self.workload, self.claim = host, port, workload, claim
+        self.uid, self.pod, self._protocol = uid, pod, protocol
         self._epoch = epoch
         self.token = token
         """The secret shared with the agent. A change takes effect with the next session."""
         self._on_change, self._on_event = on_change, on_event
         self._status: AgentStatus | None = None
         self._writer: asyncio.StreamWriter | None = None
+        self._channel: Channel | None = None
         self._numbers = itertools.count(1)
         self._seen = 0
         """Number of the last status that was received in this session; 0 if the agent does not number them."""
@@ -76,10 +84,6 @@ class AgentLink:
         self._closed = False
         self.sessions = 0
         """Number of times that the connection was made."""
-        self.pod = ""
-        """Name of the pod that answers, once connected."""
-        self.uid = ""
-        """UID of the pod that answers, once connected."""
         self.refused = False
         """Whether the last attempt reached the agent and the agent refused this side."""
         self.problem = f"connecting to {host}:{port}"
@@ -90,6 +94,11 @@ class AgentLink:
     def connected(self) -> bool:
         """Whether the agent accepted this session and has sent something within the last seconds."""
         return self._writer is not None and not self._closed
+
+    @property
+    def probe_key(self) -> bytes:
+        """Authenticates the gate probes that the agent sends for this session; empty without a connection, and in version 1."""
+        return self._channel.probe_key if self._channel is not None else b""
 
     @property
     def status(self) -> AgentStatus | None:
@@ -202,33 +211,33 @@ class AgentLink:
 
         Raises AgentRefused and AgentGone.
         """
-        writer = self._writer
-        if writer is None:
+        writer, channel = self._writer, self._channel
+        if writer is None or channel is None:
             raise AgentGone(f"agent {self.host}: {self.problem}")
         number = next(self._numbers)
         seen = {"seen": self._seen} if self._seen else {}
-        line = wire.encode({"id": number, "op": op, "gate": (epoch or self._epoch()).to_wire(), **seen, **body})
+        message = {"id": number, "op": op, "gate": (epoch or self._epoch()).to_wire(), **seen, **body}
         answer: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
         self._answers[number] = answer
         try:
             async with asyncio.timeout(within):
                 try:
-                    writer.write(line)
+                    channel.write(message)
                     await writer.drain()
                 except OSError as error:
                     raise AgentGone(f"agent {self.host}: {error}") from error
-                message = await answer
+                found = await answer
         except TimeoutError:
             raise AgentGone(f"agent {self.host}: no answer to {op} within {within:g} s") from None
         finally:
             self._answers.pop(number, None)
             if answer.done() and not answer.cancelled():
                 answer.exception()  # if the connection was lost before anybody waited for it, asyncio would log a traceback
-        if message.get("heldBack"):
-            raise AgentGone(f"agent {self.pod or self.host}: {op}: {message['error']}")
-        if "error" in message:
-            raise AgentRefused(f"agent {self.pod or self.host}: {op}: {message['error']}")
-        return message
+        if found.get("heldBack"):
+            raise AgentGone(f"agent {self.pod or self.host}: {op}: {found['error']}")
+        if "error" in found:
+            raise AgentRefused(f"agent {self.pod or self.host}: {op}: {found['error']}")
+        return found
 
     async def _run(self) -> None:
         retry, patience = RETRY_FIRST, CONNECT_FIRST
@@ -237,15 +246,15 @@ class AgentLink:
             self._accepted = refused = False
             try:
                 async with asyncio.timeout(patience):
-                    reader, writer = await asyncio.open_connection(self.host, self.port, limit=wire.MAX_LINE)
+                    reader, writer = await asyncio.open_connection(self.host, self.port, limit=secure_channel.BUFFER)
                 async with asyncio.timeout(GREETING):
-                    await self._greet(reader, writer)
-                await self._read(reader, writer)
+                    channel = await self._greet(reader, writer)
+                await self._read(channel)
             except TimeoutError:
                 problem = f"silent for {wire.SILENCE:g} s" if self.connected else "no answer"
             except (OSError, EOFError, ValueError, ProtocolError) as error:
                 problem = _words(error)
-            except AgentRefused as error:
+            except (AgentRefused, AgentDeclined) as error:
                 problem = str(error)
                 refused = True
                 retry = RETRY_MOST  # a wrong token or another claim does not change within milliseconds
@@ -263,30 +272,35 @@ class AgentLink:
             await asyncio.sleep(retry)
             retry, patience = min(2 * retry, RETRY_MOST), min(2 * patience, CONNECT_MOST)
 
-    async def _greet(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Prove the token, and read the first message after that: a status or a refusal. Raises AgentRefused and ProtocolError."""
-        greeting = wire.decode(await _line(reader))
-        if greeting.get("version") != wire.PROTOCOL or not isinstance(greeting.get("nonce"), str):
-            raise ProtocolError(
-                f"the agent does not greet with protocol version {wire.PROTOCOL}, which this monitor needs: {greeting!r:.200}"
-            )
-        proof = wire.mac(self.token, greeting["nonce"], self.workload, self.claim)
-        writer.write(wire.encode({"workload": self.workload, "claim": self.claim, "mac": proof}))
-        first = wire.decode(await _line(reader))
+    async def _greet(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> Channel:
+        """Begin a session, and read its first message: a status or a refusal.
+
+        Raises AgentRefused, AgentDeclined and ProtocolError.
+        """
+        channel = await secure_channel.connect(
+            reader,
+            writer,
+            uid=self.uid,
+            token=self.token,
+            workload=self.workload,
+            claim=self.claim,
+            oldest=self._protocol,
+        )
+        first = await channel.read()
         if "error" in first:
             raise AgentRefused(str(first["error"]))
         status = AgentStatus.from_wire(first.get("status", {}))
         self._seen = int(first.get("number", 0))
-        self.pod, self.uid = str(greeting.get("pod", "")), str(greeting.get("uid", ""))
-        self._writer, self._status, self.problem, self._accepted = writer, status, "", True
+        self._writer, self._channel, self._status, self.problem, self._accepted = writer, channel, status, "", True
         self.refused = False
         self.sessions += 1
         self._notify()
+        return channel
 
-    async def _read(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _read(self, channel: Channel) -> None:
         while True:
             async with asyncio.timeout(wire.SILENCE):
-                message = wire.decode(await _line(reader))
+                message = await channel.read()
             if "status" in message and "id" not in message:
                 self._status, self._seen = AgentStatus.from_wire(message["status"]), int(message.get("number", 0))
                 self._notify()
@@ -300,7 +314,7 @@ class AgentLink:
                 raise AgentRefused(str(message["error"]))
 
     def _disconnect(self, writer: asyncio.StreamWriter | None) -> None:
-        self._writer = self._status = None
+        self._writer = self._channel = self._status = None
         if writer is not None:
             # A command must not arrive later, when another monitor may have put the instance in control.
             wire.reset(writer)
@@ -331,13 +345,6 @@ class AgentLink:
                 self._on_change(self)
             except Exception:
                 _logger.exception("noting a change of agent %s", self.pod or self.host)
-
-
-async def _line(reader: asyncio.StreamReader) -> bytes:
-    line = await reader.readline()
-    if not line.endswith(b"\n"):
-        raise EOFError("the agent closed the connection")
-    return line
 
 
 def _words(error: BaseException) -> str:

@@ -18,6 +18,7 @@ from prometheus_client import REGISTRY, generate_latest
 from understudy import __version__
 from understudy.api import names
 from understudy.api.kinds.robot_workload import MonitorStatus
+from understudy.api.protocol.agent_messages import PROTOCOL
 from understudy.failover.journal import Journal
 from understudy.failover.progress import PodIdentity
 from understudy.kube.client import Client
@@ -124,7 +125,8 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         gate = GateControl(client, view, fleet, proof, crash_points, notices)
         recorder = Recorder(client, "understudy-monitor", os.environ.get("HOSTNAME", "monitor"))
         writer = StatusWriter(client, view, recorder, notices)
-        notices.set_monitor(MonitorStatus(version=__version__, image=os.environ.get(names.MONITOR_IMAGE_VARIABLE, "")))
+        image = os.environ.get(names.MONITOR_IMAGE_VARIABLE, "")
+        notices.set_monitor(MonitorStatus(version=__version__, image=image, agent_protocol=PROTOCOL))
         address = os.environ.get("UNDERSTUDY_POD_IP", "127.0.0.1")
         cluster, current = Cluster(view, fleet, gate), CurrentRecovery()
         roles = InstanceRoles(view, gate, current)

@@ -41,9 +41,13 @@ class Pod:
 
     def __init__(self, name: str, folder: Path, start: Callable[..., Process], profiles: Path) -> None:
         folder.mkdir()
-        self.name, self.inner = name, AgentPod(folder)
+        self.name, self.uid, self.inner = name, name.ljust(36, "-"), AgentPod(folder)
         self._start = start
-        self._environment = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(profiles), "UNDERSTUDY_POD": name}
+        self._environment = {
+            "FASTRTPS_DEFAULT_PROFILES_FILE": str(profiles),
+            "UNDERSTUDY_POD": name,
+            "UNDERSTUDY_POD_UID": name.ljust(36, "-"),
+        }
         # Judged by nothing: these tests are about goals.
         configuration = {"tree": TREE, "outputs": OUTPUTS, "grace": 60.0}
         (self.inner.memory / "agent.json").write_text(json.dumps({"configuration": configuration}))
@@ -62,7 +66,7 @@ class Pod:
         self.inner.end()
 
     def peer(self, **more: Any) -> Peer:
-        return Peer(self.name, self.name, "127.0.0.1", self.inner.port, TOKEN.decode(), "", **more)
+        return Peer(self.uid, self.name, "127.0.0.1", self.inner.port, TOKEN.decode(), "", **more)
 
 
 class Monitor:
@@ -135,7 +139,7 @@ class Monitor:
 
     def switch(self, pod: Pod | None, *peers: Peer, settled: bool = True) -> None:
         self.epoch += 1
-        self.active, self.settled = pod.name if pod else "", settled
+        self.active, self.settled = pod.uid if pod else "", settled
         self.peers = peers
         self.tell()
 

@@ -94,7 +94,7 @@ class Pod:
             self.kill(process)
 
     def link(self, workload: str = "robot", claim: str = "uid/1", token: bytes = TOKEN, **more) -> AgentLink:
-        return AgentLink("127.0.0.1", self.port, token, workload, claim, **more)
+        return AgentLink("127.0.0.1", self.port, token, workload, claim, **{"uid": UID, "pod": "pool-abcde", **more})
 
     async def page(self, path: str) -> tuple[int, str]:
         """Status and text of a page of the agent's; 0 while it doesn't answer."""

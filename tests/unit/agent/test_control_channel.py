@@ -11,6 +11,7 @@ import pytest
 from tests.support.agents import IdleAgent
 from understudy.agent.control_channel import ControlChannel, Operation, Peer
 from understudy.api.protocol import agent_messages as wire
+from understudy.api.protocol.secure_channel import Channel, connect
 from understudy.kube.agent_client import AgentGone, AgentLink
 
 
@@ -31,33 +32,24 @@ class Agent(IdleAgent):
 class Monitor:
     """A monitor's side of a session, which sends what the test says."""
 
-    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self._reader, self._writer = reader, writer
+    def __init__(self, channel: Channel) -> None:
+        self._channel = channel
 
     @classmethod
     async def of(cls, port: int) -> Monitor:
-        made = cls(*await asyncio.open_connection("127.0.0.1", port))
-        greeting = await made.receive()
-        made._send(
-            {"workload": "robot", "claim": "", "mac": wire.mac(IdleAgent.secret, greeting["nonce"], "robot", "")}
-        )
-        return made
-
-    async def receive(self) -> dict[str, Any]:
-        return wire.decode(await self._reader.readline())
-
-    def _send(self, message: Mapping[str, Any]) -> None:
-        self._writer.write(wire.encode(message))
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        secret, uid = IdleAgent.secret, IdleAgent.uid
+        return cls(await connect(reader, writer, uid=uid, token=secret, workload="robot", claim=""))
 
     async def status(self) -> int:
         """The number of the next status."""
-        while "status" not in (message := await self.receive()):
+        while "status" not in (message := await self._channel.read()):
             pass
         return int(message["number"])
 
     async def ask(self, **words: Any) -> dict[str, Any]:
-        self._send({"id": 1, "op": "probe", **words})
-        while "id" not in (message := await self.receive()):
+        self._channel.write({"id": 1, "op": "probe", **words})
+        while "id" not in (message := await self._channel.read()):
             pass
         return message
 
@@ -94,7 +86,7 @@ async def test_a_monitor_of_an_earlier_version_does_not_say_what_it_has_seen(age
 async def test_a_request_that_was_held_back_counts_as_one_that_was_lost(
     agent: Agent, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    link = AgentLink("127.0.0.1", agent.port, IdleAgent.secret, "robot", "")
+    link = AgentLink("127.0.0.1", agent.port, IdleAgent.secret, "robot", "", uid=IdleAgent.uid)
     try:
         await link.wait_connected(5)
         await link.request("probe", {})

@@ -21,8 +21,8 @@ from understudy.agent import isolation
 from understudy.agent.control_channel import ControlChannel, Operation, Peer, Refused
 from understudy.agent.isolation import Address, ConnectionAttempts, Isolation
 from understudy.api import names
-from understudy.api.protocol import agent_messages as wire
 from understudy.api.protocol import freeze_script as script
+from understudy.api.protocol import secure_channel
 from understudy.api.protocol.agent_messages import AgentStatus
 
 COUNTING = """
@@ -298,10 +298,7 @@ async def test_an_agent_reports_that_its_application_is_held(pod: Pod, links) ->
 class Pretending:
     """What sessions serve, as little of it as there may be."""
 
-    version = 0
-
-    def greeting(self) -> dict[str, str]:
-        return {"pod": "drive-1", "uid": "uid"}
+    version, uid = 0, "uid"
 
     def token(self) -> bytes:
         return b"token"
@@ -324,8 +321,7 @@ async def test_a_session_shows_whether_sent_data_was_received_and_ends_at_once()
     server = await sessions.serve(0, host="127.0.0.1")
     reader, writer = await asyncio.open_connection(*server.sockets[0].getsockname(), limit=1024)
     assert not sessions.delivered(), "there is none"
-    nonce = json.loads(await reader.readline())["nonce"]
-    writer.write(wire.encode({"workload": "w", "claim": "", "mac": wire.mac(b"token", nonce, "w", "")}))
+    await secure_channel.connect(reader, writer, uid="uid", token=b"token", workload="w", claim="")
     await eventually(lambda: sessions.count == 1 and sessions.delivered(), 25)
     # Who doesn't read doesn't take in what doesn't fit into the kernels' buffers.
     for _ in range(64):

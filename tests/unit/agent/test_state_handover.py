@@ -114,7 +114,7 @@ async def test_large_state_is_sent_in_several_requests(robot: Pod, links: list[A
 
 
 async def test_a_missing_agent_is_reported_in_bounded_time(tmp_path: Any) -> None:
-    link = AgentLink("127.0.0.1", 1, b"token", "robot", "")
+    link = AgentLink("127.0.0.1", 1, b"token", "robot", "", uid="uid-1")
     monitor = sidecars(link, tmp_path)
     started_at = time.monotonic()
     report = await monitor.restore(INSTANCE, KeptState((pose(),)), 0.5)

@@ -85,8 +85,9 @@ class PodAgent:
 
     # -- what a monitor sees ----------------------------------------------------------------------------------------
 
-    def greeting(self) -> Mapping[str, str]:
-        return {"pod": self._found.name, "uid": self._found.uid}
+    @property
+    def uid(self) -> str:
+        return self._found.uid
 
     def token(self) -> bytes:
         """As the kubelet has mounted it."""

@@ -98,7 +98,7 @@ def test_commands_of_a_monitor_that_was_replaced_are_detected() -> None:
         mock.patch.object(agent_messages, "FRESH", math.inf),
         mock.patch.object(agent_connections, "CONFIRMED_FOR", math.inf),
     ):
-        assert found("later it carries out", INITIALIZED, "monitor_is_replaced", first=205)
+        assert found("later it carries out", INITIALIZED, "monitor_is_replaced", first=72)
 
 
 def test_a_claim_without_its_precondition_is_detected() -> None:
@@ -182,7 +182,7 @@ def test_the_deletion_of_a_claimed_pod_is_detected() -> None:
 def test_a_status_that_a_dead_monitor_overwrites_is_detected() -> None:
     with mock.patch.object(StatusWriter, "check"):
         troubles = ("second_monitor", "all_fail", "monitor_dies")
-        assert found("than the status", EXECUTING, *troubles, weather=3.0, first=187)
+        assert found("than the status", EXECUTING, *troubles, weather=3.0, first=52)
 
 
 FALLS_BEHIND = ("node_is_forgotten", "node_is_deaf")
@@ -218,7 +218,7 @@ def test_the_deletion_of_an_understudy_that_never_failed_is_detected() -> None:
 
 def test_a_robot_that_nobody_drives_long_after_an_outage_is_detected() -> None:
     with mock.patch.multiple(gate_control, RETRY_FIRST=200.0, RETRY_MOST=200.0):
-        assert found("nobody drives", EXECUTING, "api_server_is_away", weather=0.0, first=441)
+        assert found("nobody drives", EXECUTING, "api_server_is_away", weather=0.0, first=408)
 
 
 def test_restored_state_that_is_older_than_what_was_kept_is_detected() -> None:

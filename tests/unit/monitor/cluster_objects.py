@@ -89,7 +89,9 @@ def pod_of(instance: Instance, workload: str = "w") -> Object:
     container: Object = {"name": "drive", "restartCount": instance.restarts}
     if instance.crashing:
         container["state"] = {"waiting": {"reason": "CrashLoopBackOff"}}
-    containers = [{"name": "drive"}, *([{"name": names.AGENT_CONTAINER}] if instance.has_agent else [])]
+    knows = [{"name": names.AGENT_PROTOCOL_VARIABLE, "value": str(instance.agent_protocol)}]
+    agent = {"name": names.AGENT_CONTAINER, "env": knows if instance.agent_protocol > 1 else []}
+    containers = [{"name": "drive"}, *([agent] if instance.has_agent else [])]
     return {
         "metadata": metadata,
         "spec": {"nodeName": instance.node, "containers": containers},

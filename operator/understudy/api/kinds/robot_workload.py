@@ -463,6 +463,8 @@ class MonitorStatus(Model):
     """Understudy version of the monitor."""
     image: str = ""
     """Image of the monitor."""
+    agent_protocol: int | None = None
+    """Newest version of the protocol between monitors and agents that the image knows. Absent before version 0.3."""
 
 
 class RobotWorkloadStatus(Model):

@@ -1,10 +1,9 @@
-"""The messages between the monitor and an agent, and how the monitor proves that it may command the agent.
+"""The messages between the monitor and an agent.
 
-TCP, one JSON object per line. The agent speaks first: ``{"nonce", "pod", "uid", "version"}``. The monitor answers
-``{"workload", "claim", "mac"}``, and from then on sends requests ``{"id", "op", "gate", "seen", ...}``, each answered by
-``{"id", "ok": true, ...}`` or ``{"id", "error"}``, in the order in which they are completed. In between, the agent
-sends ``{"status": ..., "number": n}`` on every change and once a second, so that silence means that the connection is
-lost, and ``{"event": ...}`` for events such as the feedback of a goal.
+TCP, one JSON object per line. Both sides first prove that they know the token (secure_channel.py). From then on the monitor sends requests
+``{"id", "op", "gate", "seen", ...}``, each answered by ``{"id", "ok": true, ...}`` or ``{"id", "error"}``, in the order in which they are
+completed. In between, the agent sends ``{"status": ..., "number": n}`` on every change and once a second, so that silence means that the
+connection is lost, and ``{"event": ...}`` for events such as the feedback of a goal.
 
 ``seen`` is the number of the last status that the monitor has received. It proves the age of a request without a common
 clock: if the agent sent ``seen`` too long ago, the network or a stalled process has held the request back. The agent then does
@@ -17,8 +16,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import hashlib
-import hmac
 import json
 import socket
 import struct
@@ -26,8 +23,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-PROTOCOL = 1
-"""Version of the protocol, sent in the greeting."""
+PROTOCOL = 2
+"""Newest version of the protocol."""
+
+OLDEST_PROTOCOL = 1
+"""Oldest version of the protocol: that of Understudy before version 0.3."""
 
 MAX_LINE = 1 << 25
 """Maximum size of a message in bytes: enough for a claim's environment, a policy's tree or a kept map."""
@@ -61,11 +61,6 @@ class ProtocolError(Exception):
     """The other side sent something that is not a message."""
 
 
-def mac(token: bytes, nonce: str, workload: str, claim: str) -> str:
-    """Return the proof of the token for one session (HMAC-SHA256, RFC 2104) in hex. A nonce makes it invalid for other sessions."""
-    return hmac.new(token, f"{nonce}\n{workload}\n{claim}".encode(), hashlib.sha256).hexdigest()
-
-
 def encode(message: Mapping[str, Any]) -> bytes:
     """Return a message as one line.
 
@@ -89,6 +84,28 @@ def decode(line: bytes) -> dict[str, Any]:
     if not isinstance(message, dict):
         raise ProtocolError(f"a message is a JSON object, not {type(message).__name__}")
     return message
+
+
+async def read_line(reader: asyncio.StreamReader, most: int) -> bytes:
+    """Return a line of at most ``most`` bytes, with its line end, whatever the reader's own limit.
+
+    Raises EOFError if the other side closes the connection, ProtocolError if the line is longer.
+    """
+    parts: list[bytes] = []
+    size = 0
+    while True:
+        try:
+            part = await reader.readuntil(b"\n")
+        except asyncio.LimitOverrunError as overrun:
+            part = await reader.readexactly(overrun.consumed)
+        except asyncio.IncompleteReadError:
+            raise EOFError("the other side closed the connection") from None
+        size += len(part)
+        if size > most:
+            raise ProtocolError(f"a line of more than {most} bytes")
+        parts.append(part)
+        if part.endswith(b"\n"):
+            return b"".join(parts)
 
 
 def reset(writer: asyncio.StreamWriter) -> None:

@@ -86,6 +86,7 @@ def evaluate(observed: Observed, images: Images) -> WorkloadPlan:
             workload=name,
             namespace=namespace,
             images=own_images,
+            agent_protocol=instance_pod.agent_protocol(own_images.monitor, [workload]),
             secret=names.agent_secret(name),
             environment=environment,
             pool=pool,

@@ -7,12 +7,13 @@ containers of a held pod wait for the claim.
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from understudy.api import names
 from understudy.api.protocol import freeze_script, hold_script
+from understudy.api.protocol.agent_messages import OLDEST_PROTOCOL, PROTOCOL
 from understudy.controller.observed import kube_objects
 from understudy.controller.plan import Images, from_field, pull_secrets, resources, variables
 from understudy.controller.pods import pod_placement, template_shape
@@ -68,6 +69,9 @@ class Recipe:
     new procedure is ready.
     """
 
+    agent_protocol: int = PROTOCOL
+    """Version of the protocol that the agent in ``images`` knows at least."""
+
     @property
     def prepared(self) -> bool:
         """Whether the profiles contain values that only the pod itself can fill in, before its processes start."""
@@ -119,6 +123,24 @@ def problem(template: Mapping[str, Any], *, held: bool, path: str, gate: GateKin
         if volume.get("name") in _VOLUMES:
             return f"{path}.spec.volumes has {volume['name']}, which Understudy's sidecar uses. Choose another name"
     return None
+
+
+def agent_protocol(image: str, workloads: Iterable[Object]) -> int:
+    """Return the version of the protocol that the agent in an image knows at least.
+
+    That is the operator's own version, unless a monitor of one of these workloads runs the image and does not report a version: an image
+    of the user's own stays as it was when Understudy is upgraded.
+    """
+    return OLDEST_PROTOCOL if any(_has_older_monitor(workload, image) for workload in workloads) else PROTOCOL
+
+
+def _has_older_monitor(workload: Object, image: str) -> bool:
+    status = workload.get("status") or {}
+    if monitor := status.get("monitor"):
+        return bool(monitor.get("image") == image and not monitor.get("agentProtocol"))
+    # A monitor before 0.2.0 does not report its image, but a health.
+    own = ((workload.get("spec") or {}).get("monitor") or {}).get("image")
+    return "health" in status and own == image
 
 
 def own_profiles(template: Mapping[str, Any]) -> list[str]:
@@ -355,6 +377,11 @@ def _agent(recipe: Recipe, held: Sequence[str], fenced: Sequence[str], unfenced:
     fences = {names.FENCED_VARIABLE: " ".join(fenced), names.UNFENCED_VARIABLE: " ".join(unfenced)}
     fixed = {
         **{key: value for key, value in fences.items() if value},
+        **(
+            {names.AGENT_PROTOCOL_VARIABLE: str(recipe.agent_protocol)}
+            if recipe.agent_protocol > OLDEST_PROTOCOL
+            else {}
+        ),
         names.WORKLOAD_VARIABLE: recipe.workload,
         "UNDERSTUDY_NAMESPACE": recipe.namespace,
         "UNDERSTUDY_HELD_CONTAINERS": " ".join(held),

@@ -131,6 +131,7 @@ def evaluate(observed: Observed, images: Images) -> PoolPlan:
         workload="",
         namespace=pool["metadata"]["namespace"],
         images=image,
+        agent_protocol=instance_pod.agent_protocol(image.monitor, observed.workloads.values()),
         secret=names.pool_secret(kube_objects.name(pool)),
         pool=kube_objects.name(pool),
         held=True,

@@ -130,6 +130,7 @@ class ActionProxyLink:
                         "token": token.decode(),
                         "claim": instance.claim,
                         "executing": executing(instance, state, full),
+                        "protocol": instance.agent_protocol,
                     }
                 )
         return {

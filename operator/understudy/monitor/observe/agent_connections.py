@@ -138,6 +138,9 @@ class AgentConnections:
                 token,
                 self._view.workload,
                 instance.claim,
+                uid=instance.uid,
+                pod=instance.name,
+                protocol=instance.agent_protocol,
                 epoch=self._epoch,
                 on_change=lambda link: self._changed(instance.uid, link),
             )

@@ -62,10 +62,31 @@ def test_a_pod_that_is_deleted_for_another_reason_is_leaving(conditions: list[di
         Instance("w-1", "u1", ip="10.0.0.1", running=True, ready=True, node="n", created="2026-01-01T00:00:00Z"),
         Instance("s-1", "u2", pool="spare", held=True, claim="u/1", template_hash="h", has_agent=False),
         Instance("w-2", "u3", running=True, terminating=True, evicted=True, restarts=2, crashing=True),
+        Instance("w-3", "u4", running=True, agent_protocol=1),
     ],
 )
 def test_the_pods_of_the_tests_represent_their_instances(instance: Instance) -> None:
     assert instance_of(pod_of(instance)) == instance
+
+
+@pytest.mark.parametrize(
+    ("environment", "protocol"),
+    [
+        (None, 1),
+        ([], 1),
+        ([{"name": names.POD_UID_VARIABLE, "valueFrom": {}}], 1),
+        ([{"name": names.AGENT_PROTOCOL_VARIABLE, "value": "2"}], 2),
+        ([{"name": names.AGENT_PROTOCOL_VARIABLE, "value": "3"}], 2),
+        ([{"name": names.AGENT_PROTOCOL_VARIABLE, "value": "two"}], 2),
+        ([{"name": names.AGENT_PROTOCOL_VARIABLE}], 1),
+    ],
+)
+def test_the_protocol_of_an_agent_is_that_of_its_pods_spec(environment: Any, protocol: int) -> None:
+    """Not one of a label or an annotation, which others may change."""
+    found = pod({"labels": {names.AGENT_PROTOCOL_VARIABLE: "1"}})
+    if environment is not None:
+        found["spec"]["containers"][1]["env"] = environment
+    assert instance_of(found).agent_protocol == protocol
 
 
 OWNED = {"ownerReferences": [{"kind": "RobotWorkload", "name": "w", "uid": "u", "controller": True}]}

@@ -13,9 +13,9 @@ import pytest
 from tests.unit.monitor.cluster_objects import NAMESPACE, ClusterObjects
 from understudy.api import names
 from understudy.api.kinds.failure_policy import FailurePolicySpec
-from understudy.api.protocol import agent_messages as wire
 from understudy.api.protocol.agent_messages import AgentStatus
 from understudy.api.protocol.kept_state import KeptState
+from understudy.api.protocol.secure_channel import accept
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import GateState, Instance, NotVerified
 from understudy.kube.agent_client import AgentGone
@@ -38,13 +38,12 @@ class RecordingAgent:
 
     async def session(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.writers.append(writer)
-        with contextlib.suppress(ConnectionError):
-            writer.write(wire.encode({"nonce": "n", "pod": "w-1", "uid": "uid-1", "version": wire.PROTOCOL}))
-            await reader.readline()
-            writer.write(wire.encode({"status": AgentStatus("Running", True, configured=True).to_wire()}))
-            while line := await reader.readline():
-                self.requests.append(request := wire.decode(line))
-                writer.write(wire.encode({"id": request["id"], "ok": True}))
+        with contextlib.suppress(ConnectionError, EOFError):
+            channel = await accept(reader, writer, uid=INSTANCE.uid, token=lambda: b"token")
+            channel.write({"status": AgentStatus("Running", True, configured=True).to_wire()})
+            while True:
+                self.requests.append(request := await channel.read())
+                channel.write({"id": request["id"], "ok": True})
 
     def epochs(self, op: str) -> list[int]:
         """The epochs of the requests of an operation."""

@@ -11,11 +11,12 @@ from typing import Any
 
 import pytest
 
+from tests.support.agents import old_session
 from tests.unit.kube.memory import MemoryClient
 from tests.unit.monitor.cluster_objects import ClusterObjects
 from understudy.api import names
-from understudy.api.protocol import agent_messages as wire
-from understudy.api.protocol.agent_messages import AgentStatus
+from understudy.api.protocol.agent_messages import AgentStatus, ProtocolError
+from understudy.api.protocol.secure_channel import AuthenticationFailed, accept
 from understudy.failover.interfaces import Instance
 from understudy.kube.agent_client import AgentLink
 from understudy.kube.client import SECRETS, ApiError
@@ -40,18 +41,15 @@ class Agent:
     async def session(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.writers.append(writer)
         with contextlib.suppress(ConnectionError):
-            writer.write(wire.encode({"nonce": "n", "pod": "w-1", "uid": "uid-1", "version": wire.PROTOCOL}))
-            answer = wire.decode(await reader.readline())
-            if answer["mac"] != wire.mac(self.token, "n", "w", ""):
+            try:
+                channel = await accept(reader, writer, uid=INSTANCE.uid, token=lambda: self.token)
+            except AuthenticationFailed:
                 self.refused += 1
-                writer.write(
-                    wire.encode({"error": "authentication failed: the monitor and the agent have different tokens"})
-                )
                 writer.close()
                 return
             while True:
                 status = AgentStatus("Running", True, process_up_at=self.up_at)
-                writer.write(wire.encode({"status": status.to_wire()}))
+                channel.write({"status": status.to_wire()})
                 await writer.drain()
                 await asyncio.sleep(0.2)
 
@@ -197,3 +195,39 @@ async def test_a_caller_that_gives_up_does_not_end_the_connection_that_another_o
                 await agents.up(INSTANCE)
     assert not other.done()
     other.cancel()
+
+
+async def test_an_agent_of_another_pod_at_the_address_is_not_believed(agent: Agent) -> None:
+    """The address of a pod that is gone may be another pod's, of the same workload and with the same token."""
+    client, agents = connections()
+    await keep(client, b"second")
+    gone = replace(INSTANCE, name="w-0", uid="uid-0")
+    agents.follow([gone])
+    await eventually(lambda: agent.refused)
+    assert agents.status(gone) is None
+    agents.follow([])
+
+
+async def test_an_old_agent_is_followed_where_its_pods_spec_says_that_it_is_old(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    sessions: list[str] = []
+
+    async def session(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        sessions.append("begun")
+        with contextlib.suppress(ConnectionError, KeyError, ValueError, ProtocolError):
+            await old_session(reader, writer, uid=INSTANCE.uid, token=b"second")
+
+    server = await asyncio.start_server(session, "127.0.0.1", 0)
+    monkeypatch.setattr(names, "AGENT_PORT", server.sockets[0].getsockname()[1])
+    client, agents = connections()
+    await keep(client, b"second")
+    agents.follow([INSTANCE])
+    await eventually(lambda: len(sessions) >= 2)
+    assert agents.status(INSTANCE) is None, "somebody answers for it"
+    agents.follow([])
+    old = replace(INSTANCE, agent_protocol=1)
+    agents.follow([old])
+    await eventually(lambda: agents.status(old) is not None)
+    agents.follow([])
+    server.close()

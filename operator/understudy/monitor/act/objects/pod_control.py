@@ -11,7 +11,9 @@ from contextlib import AbstractAsyncContextManager
 from functools import partial
 
 from understudy.api import names
+from understudy.api.protocol.agent_messages import OLDEST_PROTOCOL, PROTOCOL
 from understudy.api.protocol.monitor_settings import WorkloadSettings
+from understudy.api.whole_numbers import whole_number
 from understudy.failover.interfaces import ClaimLost, Instance, NotAvailable
 from understudy.kube import claims
 from understudy.kube.apply import controller_of, released
@@ -49,6 +51,7 @@ def instance_of(pod: Object) -> Instance:
     reasons = {c["type"]: c.get("reason") for c in status.get("conditions") or []}
     containers = [c for c in status.get("containerStatuses") or [] if c.get("name") != names.AGENT_CONTAINER]
     terminating = bool(metadata.get("deletionTimestamp"))
+    agent = next((c for c in pod["spec"]["containers"] if c["name"] == names.AGENT_CONTAINER), None)
     return Instance(
         name=metadata["name"],
         uid=metadata["uid"],
@@ -59,7 +62,8 @@ def instance_of(pod: Object) -> Instance:
         held=labels.get(names.HELD) == "true",
         terminating=terminating,
         node=pod["spec"].get("nodeName") or "",
-        has_agent=any(c["name"] == names.AGENT_CONTAINER for c in pod["spec"]["containers"]),
+        has_agent=agent is not None,
+        agent_protocol=_protocol(agent) if agent is not None else PROTOCOL,
         claim=(metadata.get("annotations") or {}).get(names.CLAIM, ""),
         template_hash=labels.get(names.TEMPLATE_HASH, ""),
         created=metadata.get("creationTimestamp", ""),
@@ -71,6 +75,17 @@ def instance_of(pod: Object) -> Instance:
         ),
         owned=(controller_of(pod) or {}).get("kind") == "RobotWorkload",
     )
+
+
+def _protocol(agent: Object) -> int:
+    """Return the version of the protocol that an agent knows at least, by its container.
+
+    The environment of a container cannot be changed after its pod was created, so nobody can claim that an agent is older than it is.
+    """
+    stated = next((e.get("value") for e in agent.get("env") or [] if e["name"] == names.AGENT_PROTOCOL_VARIABLE), None)
+    if stated is None:
+        return OLDEST_PROTOCOL
+    return min(whole_number(stated or "") or PROTOCOL, PROTOCOL)
 
 
 def is_stray(pod: Object, settings: WorkloadSettings) -> bool:
