@@ -229,7 +229,7 @@ class Agent:
                 self._save()
                 self._notify()
         probe = body.get("probe") or {"host": peer.host, "port": names.PROBE_PORT}
-        self._aim(probe)
+        self._aim(probe, peer)
 
     async def start(self, body: Mapping[str, Any], peer: Peer) -> None:
         """Start the held containers, and bind the pod to the workload that requested it. Can be repeated.
@@ -306,7 +306,7 @@ class Agent:
 
     async def probe(self, body: Mapping[str, Any], peer: Peer) -> None:
         """Send gate probes for a limited time. Raises Refused."""
-        self._aim({"host": body.get("host") or peer.host, "port": body.get("port", names.PROBE_PORT)})
+        self._aim({"host": body.get("host") or peer.host, "port": body.get("port", names.PROBE_PORT)}, peer)
         try:
             self._probes.burst(float(body.get("interval", 0.001)), float(body.get("duration", 1.0)))
         except (TypeError, ValueError) as error:
@@ -350,11 +350,11 @@ class Agent:
 
     # -- inside -----------------------------------------------------------------------------------------------------
 
-    def _aim(self, probe: object) -> None:
+    def _aim(self, probe: object, peer: Peer) -> None:
         try:
             if not isinstance(probe, dict):
                 raise TypeError(f"probe is a mapping of host and port, not {probe!r}")
-            self._probes.aim(str(probe.get("host")), int(probe.get("port", names.PROBE_PORT)))
+            self._probes.aim(str(probe.get("host")), int(probe.get("port", names.PROBE_PORT)), key=peer.probe_key)
         except (TypeError, ValueError) as error:
             raise Refused(str(error)) from error
 

@@ -130,7 +130,7 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         address = os.environ.get("UNDERSTUDY_POD_IP", "127.0.0.1")
         cluster, current = Cluster(view, fleet, gate), CurrentRecovery()
         roles = InstanceRoles(view, gate, current)
-        agents = AgentConnections(client, view, address, crash_points, roles, wakeups)
+        agents = AgentConnections(client, view, address, crash_points, roles, wakeups, proof)
         meter = ResourceMeter(client, namespace, workload)
         observer = HealthObserver(meter, address)
         black_box = BlackBox(view, observer, notices, RecordingArchive(state / "kept" / "recordings"))

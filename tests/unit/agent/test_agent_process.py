@@ -13,9 +13,8 @@ from tests.support.agents import status_of
 from tests.unit.agent.conftest import UID, Pod, eventually
 from understudy.agent import process as running
 from understudy.agent.held_containers import HeldContainers
-from understudy.api.protocol import agent_messages as wire
 from understudy.kube.agent_client import AgentGone, AgentRefused
-from understudy.kube.gates.probes import ProbeReceiver, ProbeSender
+from understudy.kube.gates.probes import ProbeKeys, ProbeReceiver, ProbeSender
 
 SAY = ["sh", "-c", 'echo "domain $ROS_DOMAIN_ID, $GREETING"; exec sleep 60']
 XML = '<root BTCPP_format="4"><BehaviorTree ID="A"><Topic topic="/x" gap="1s"/></BehaviorTree></root>'
@@ -341,11 +340,12 @@ async def test_the_agent_reports_what_is_missing_in_its_environment(pod: Pod, en
 
 
 async def test_probes_are_sent_to_the_address_of_the_monitor(pod: Pod, links):
-    receiver = ProbeReceiver()
+    receiver = ProbeReceiver(ProbeKeys())
     port = await receiver.listen(port=0, host="127.0.0.1")
     pod.start_agent()
     links.append(link := pod.link())
     await link.wait_connected(60)
+    receiver.trust(UID, link.probe_key)
     await link.configure({"topic": {"name": "/x", "gap": "1s"}}, [], 1.0, probe=("127.0.0.1", port))
     first = await receiver.wait(UID, 0, 10)
     assert await receiver.wait(UID, first + 0.01, 10) - first > 0.7

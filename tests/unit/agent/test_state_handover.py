@@ -36,7 +36,9 @@ def sidecars(link: AgentLink | None, tmp_path: Any) -> AgentConnections:
     objects = ClusterObjects(tmp_path)
     objects.put_settings()
     objects.put_gate(GateState(epoch=EPOCH.number, active=INSTANCE.name, active_uid=INSTANCE.uid))
-    made = AgentConnections(objects.client, objects.view, "127.0.0.1", objects.crash_points, roles, objects.wakeups)
+    made = AgentConnections(
+        objects.client, objects.view, "127.0.0.1", objects.crash_points, roles, objects.wakeups, objects.proof
+    )
     if link is not None:
         made._links[INSTANCE.uid] = link
     return made

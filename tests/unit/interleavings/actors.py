@@ -167,8 +167,8 @@ class Monitor:
         known = self._observer.known_since if self._observer else {}
         return frozenset(uid for uid, since in known.items() if since <= at)
 
-    def _make_agents(self, client: Client, view: ClusterView, roles: InstanceRoles) -> AgentConnections:
-        return AgentConnections(client, view, self.workload, self.fuse, roles, self.wakeups)
+    def _make_agents(self, client: Client, view: ClusterView, roles: InstanceRoles, probes: Probes) -> AgentConnections:
+        return AgentConnections(client, view, self.workload, self.fuse, roles, self.wakeups, probes)
 
     def _make_state_manager(self, agents: AgentConnections, notices: Notices) -> StateManager:
         if self._states is None:
@@ -197,7 +197,7 @@ class Monitor:
             probes = self._make_probes()
             gate = GateControl(client, view, fleet, probes, self.fuse, notices)
             roles = InstanceRoles(view, gate, self.current)
-            agents = self._make_agents(client, view, roles)
+            agents = self._make_agents(client, view, roles, probes)
             self._observer = self._make_observer()
             observer = cast(Any, self._observer)
             parts = Parts(

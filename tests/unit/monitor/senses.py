@@ -185,7 +185,9 @@ class GivenAgents(AgentConnections):
     """Agents that report what a test says."""
 
     def __init__(self, objects: ClusterObjects, roles: InstanceRoles) -> None:
-        super().__init__(objects.client, objects.view, "127.0.0.1", objects.crash_points, roles, objects.wakeups)
+        super().__init__(
+            objects.client, objects.view, "127.0.0.1", objects.crash_points, roles, objects.wakeups, objects.proof
+        )
         self.statuses: dict[str, AgentStatus] = {}
         """The last status of each instance's agent, by UID."""
         self.unready: dict[str, str] = {}

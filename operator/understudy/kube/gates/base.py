@@ -84,6 +84,12 @@ class Proof(Protocol):
     block_hint: str = ""
     """A sentence: what to look for if packets of an instance do not pass the gate, although it names that pod."""
 
+    def trust(self, uid: str, key: bytes) -> None:
+        """Count the packets of a pod that its agent authenticates with a key, which a session with the agent provides."""
+
+    def trust_unsigned(self, uid: str) -> None:
+        """Count the packets of a pod although nothing authenticates them, because its agent is too old."""
+
     def last(self, uid: str) -> float | None:
         """Return when a packet of a pod last passed the gate, in Unix seconds; None if none did."""
 

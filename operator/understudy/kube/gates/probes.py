@@ -2,12 +2,16 @@
 
 They show the monitor since when a gate is enforced and whether policies are enforced at all. An API server's answer
 does not show that. The agent sends them, because they must leave from the pod that the gate names.
+
+A probe has a MAC under a key of the session in which the monitor requested it (api/protocol/session_keys.py), and a number. So nobody else
+can make one, and one that arrives twice counts once. The key shows which pod sent it.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import hmac
 import ipaddress
 import logging
 import math
@@ -21,10 +25,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from understudy.api import names
+from understudy.api.protocol import session_keys
 from understudy.clock import CLOCK, ClockSteps
 
 _logger = logging.getLogger(__name__)
 
+_SIGNED = struct.Struct("!4s8sQ16s")
+_SIGNED_MAGIC = b"USP2"
 _FORMAT = struct.Struct("!4s36sQQ")
 _MAGIC = b"USP1"
 _NANO = 1_000_000_000
@@ -52,7 +59,7 @@ _TIMESPEC = struct.Struct("qq")
 
 @dataclass(frozen=True)
 class Probe:
-    """One datagram."""
+    """A datagram without a MAC, as agents of version 1 of the protocol and ``understudy doctor`` send it."""
 
     uid: str
     sequence: int
@@ -61,7 +68,7 @@ class Probe:
 
 
 def encode(uid: str, sequence: int, sent_ns: int) -> bytes:
-    """Return the datagram of a pod. Raises ValueError if the UID does not have 36 ASCII characters."""
+    """Return the datagram of a pod, without a MAC. Raises ValueError if the UID does not have 36 ASCII characters."""
     raw = uid.encode()
     if len(raw) != 36:
         raise ValueError(f"pod UID {uid!r} has {len(raw)} bytes, a Kubernetes UID has 36")
@@ -69,7 +76,7 @@ def encode(uid: str, sequence: int, sent_ns: int) -> bytes:
 
 
 def decode(datagram: bytes) -> Probe | None:
-    """Return the probe in a datagram; None if it contains none."""
+    """Return the probe in a datagram without a MAC; None if it contains none."""
     if len(datagram) != _FORMAT.size or not datagram.startswith(_MAGIC):
         return None
     _, uid, sequence, sent = _FORMAT.unpack(datagram)
@@ -77,6 +84,75 @@ def decode(datagram: bytes) -> Probe | None:
         return Probe(uid.decode("ascii"), sequence, sent / _NANO)
     except UnicodeDecodeError:
         return None
+
+
+def sign(key: bytes, sequence: int) -> bytes:
+    """Return a datagram with a MAC."""
+    unsigned = _SIGNED.pack(_SIGNED_MAGIC, _key_name(key), sequence, b"")[: -session_keys.TAG]
+    return unsigned + session_keys.tag(key, unsigned)
+
+
+def _key_name(key: bytes) -> bytes:
+    """Return the name of a key in datagrams, from which nobody can calculate the key."""
+    return hmac.digest(key, b"name", "sha256")[:8]
+
+
+@dataclass
+class _Key:
+    uid: str
+    key: bytes
+    last: int = 0
+    """Number of the newest datagram."""
+
+
+class ProbeKeys:
+    """The pods whose probes count, and what authenticates them."""
+
+    SESSIONS = 8
+    """Keys of one pod that count: an agent uses the key of the session in which it was last configured, which may not be the newest."""
+
+    def __init__(self) -> None:
+        self._pods: OrderedDict[str, deque[_Key]] = OrderedDict()
+        self._named: dict[bytes, _Key] = {}
+        self._unsigned: OrderedDict[str, None] = OrderedDict()
+
+    def trust(self, uid: str, key: bytes) -> None:
+        """Count the probes of a pod that have a MAC under this key."""
+        self._unsigned.pop(uid, None)
+        keys = self._pods.setdefault(uid, deque())
+        self._pods.move_to_end(uid)
+        if (name := _key_name(key)) not in self._named:
+            self._named[name] = _Key(uid, key)
+            keys.append(self._named[name])
+        while len(keys) > self.SESSIONS:
+            del self._named[_key_name(keys.popleft().key)]
+        if len(self._pods) > Arrivals.PODS:
+            for forgotten in self._pods.popitem(last=False)[1]:
+                del self._named[_key_name(forgotten.key)]
+
+    def trust_unsigned(self, uid: str) -> None:
+        """Count the probes of a pod without a MAC, because its agent is too old to send others."""
+        if uid not in self._pods:
+            self._unsigned[uid] = None
+            self._unsigned.move_to_end(uid)
+            if len(self._unsigned) > Arrivals.PODS:
+                self._unsigned.popitem(last=False)
+
+    def sender(self, datagram: bytes) -> str | None:
+        """Return the UID of the pod that has sent a probe; None if that is not certain, or if this probe or a later one came before."""
+        if not datagram.startswith(_SIGNED_MAGIC):
+            probe = decode(datagram)
+            return probe.uid if probe is not None and probe.uid in self._unsigned else None
+        if len(datagram) != _SIGNED.size:
+            return None
+        _, name, sequence, tag = _SIGNED.unpack(datagram)
+        found = self._named.get(name)
+        if found is None or sequence <= found.last:
+            return None
+        if not hmac.compare_digest(session_keys.tag(found.key, datagram[: -session_keys.TAG]), tag):
+            return None
+        found.last = sequence
+        return found.uid
 
 
 class ProbeSender:
@@ -93,19 +169,23 @@ class ProbeSender:
         self._sequence = 0
         self._sockets: dict[int, socket.socket] = {}
         self._lock = threading.Lock()
-        self._target: tuple[str, int] | None = None
+        self._target: tuple[str, int, bytes] | None = None
+        """Host, port and key."""
         self._burst_begun = self._burst_until = 0.0  # monotonic seconds
         self._burst_interval = 0.001
         self._bursting = False
         self._stopped = threading.Event()
         self._timer: asyncio.TimerHandle | None = None
 
-    def aim(self, host: str, port: int = names.PROBE_PORT) -> None:
-        """Send to this address from now on. Raises ValueError if it is not an IP address or the port is invalid."""
+    def aim(self, host: str, port: int = names.PROBE_PORT, *, key: bytes = b"") -> None:
+        """Send to this address from now on, with MACs under a key; without MACs if it is empty.
+
+        Raises ValueError if it is not an IP address or the port is invalid.
+        """
         ipaddress.ip_address(host)
         if not 0 < port < 65536:
             raise ValueError(f"port {port} is none: 1 to 65535")
-        self._target = (host, port)
+        self._target = (host, port, key)
 
     def rest(self) -> None:
         """Send nothing until the next :meth:`aim`."""
@@ -167,14 +247,15 @@ class ProbeSender:
         target = self._target
         if target is None:
             return
+        host, port, key = target
         with self._lock:
             self._sequence += 1
-            datagram = encode(self._uid, self._sequence, time.time_ns())
+            datagram = sign(key, self._sequence) if key else encode(self._uid, self._sequence, time.time_ns())
             if self._stopped.is_set():
                 return
             # A closed gate may cause an error (EPERM, ECONNREFUSED). A full queue loses a probe.
             with contextlib.suppress(OSError):
-                self._socket(target[0]).sendto(datagram, target)
+                self._socket(host).sendto(datagram, (host, port))
 
     def _socket(self, host: str) -> socket.socket:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
@@ -234,7 +315,9 @@ class ProbeReceiver:
     )
     block_hint = "Check whether another NetworkPolicy selects the pod, or whether the network drops its UDP packets."
 
-    def __init__(self) -> None:
+    def __init__(self, keys: ProbeKeys | None = None) -> None:
+        """``keys`` authenticate the probes. Without them, the probes of all senders count that have no MAC, as in a test of the network."""
+        self._keys = keys
         self._arrivals = Arrivals()
         self._steps = ClockSteps()
         self._taken = time.time()
@@ -266,6 +349,16 @@ class ProbeReceiver:
             self._stop_reading()
             self._socket.close()
             self._socket = None
+
+    def trust(self, uid: str, key: bytes) -> None:
+        """Count the probes of a pod that have a MAC under this key."""
+        if self._keys is not None:
+            self._keys.trust(uid, key)
+
+    def trust_unsigned(self, uid: str) -> None:
+        """Count the probes of a pod without a MAC."""
+        if self._keys is not None:
+            self._keys.trust_unsigned(uid)
 
     def last(self, uid: str) -> float | None:
         """Return when a pod's last probe arrived, in Unix seconds; None if none did."""
@@ -348,9 +441,14 @@ class ProbeReceiver:
             except OSError as error:
                 _logger.warning("receiving probes: %s", error)
                 break
-            probe = decode(datagram)
-            if probe is not None:
-                self._arrivals.add(probe.uid, min(max(_timestamp(ancillary), low), high))
+            if (uid := self._sender(datagram)) is not None:
+                self._arrivals.add(uid, min(max(_timestamp(ancillary), low), high))
+
+    def _sender(self, datagram: bytes) -> str | None:
+        if self._keys is not None:
+            return self._keys.sender(datagram)
+        probe = decode(datagram)
+        return probe.uid if probe is not None else None
 
     def _follow_clock(self) -> tuple[float, float]:
         """Move the times of arrivals if the clock was set. Returns the bounds for those of probes that were not read yet.

@@ -13,13 +13,14 @@ from typing import Any
 
 from understudy.api import names
 from understudy.api.base import seconds
-from understudy.api.protocol.agent_messages import RENEW_PERMIT, AgentStatus, GateEpoch, ProtocolError
+from understudy.api.protocol.agent_messages import PROTOCOL, RENEW_PERMIT, AgentStatus, GateEpoch, ProtocolError
 from understudy.api.protocol.kept_state import LARGEST, KeptState, RestoreReport
 from understudy.clock import CLOCK
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotVerified
 from understudy.kube.agent_client import AgentGone, AgentLink, AgentRefused
 from understudy.kube.client import FAILURES, SECRETS, Client
+from understudy.kube.gates.base import Proof
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.observe.instance_roles import InstanceRoles
 from understudy.monitor.observe.objects.cluster_view import ClusterView
@@ -67,9 +68,10 @@ class AgentConnections:
         crash_points: CrashPoints,
         roles: InstanceRoles,
         wakeups: Wakeups,
+        probes: Proof,
     ) -> None:
-        """``address`` is the IP of this pod, to which agents send gate probes."""
-        self._client, self._view, self._address = client, view, address
+        """``address`` is the IP of this pod, to which agents send gate probes, and ``probes`` receives these."""
+        self._client, self._view, self._address, self._probes = client, view, address, probes
         self._crash_points, self._roles, self._wakeups = crash_points, roles, wakeups
         self._links: dict[str, AgentLink] = {}
         self._connecting: dict[str, asyncio.Task[AgentLink | None]] = {}
@@ -89,6 +91,9 @@ class AgentConnections:
         """Connect to each of these instances that has an agent, and close all other connections."""
         wanted = {i.uid: i for i in instances if i.has_agent and i.ip and not i.held and not i.leaving}
         self._instances = wanted
+        for instance in instances:
+            if instance.has_agent and instance.agent_protocol < PROTOCOL:
+                self._probes.trust_unsigned(instance.uid)
         self._driving = {uid: to for uid, to in self._driving.items() if uid in wanted}
         # A pod that its node starts again, as after a loss of power, keeps its UID and has another address.
         old = [uid for uid, link in self._links.items() if uid not in wanted or wanted[uid].ip != link.host]
@@ -213,6 +218,8 @@ class AgentConnections:
         if self._links.get(uid) is not link:
             return  # it is being closed, and connected just before
         if link.connected:
+            if link.probe_key:
+                self._probes.trust(uid, link.probe_key)
             self._configure(uid)
         else:
             self._configured.pop(uid, None)

@@ -238,7 +238,9 @@ async def test_an_unreadable_procedure_fails_with_its_place() -> None:
     assert procedure is not None
     objects = ClusterObjects()
     roles = InstanceRoles(objects.view, objects.gate, CurrentRecovery())
-    agents = AgentConnections(objects.client, objects.view, "127.0.0.1", objects.crash_points, roles, objects.wakeups)
+    agents = AgentConnections(
+        objects.client, objects.view, "127.0.0.1", objects.crash_points, roles, objects.wakeups, objects.proof
+    )
     with pytest.raises(NotVerified) as failure:
         await agents.run(STANDBY, procedure, within=1.0, state=KeptState(), brought="")
     assert_golden("monitor", str(failure.value), "line 3, column 1", "LifecycleWas", "'LifecycleIs'")

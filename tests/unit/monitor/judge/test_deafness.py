@@ -115,7 +115,7 @@ def test_a_closed_gate_is_not_judged(watching: Watching) -> None:
 def test_a_pod_without_an_agent_is_not_judged(watching: Watching) -> None:
     objects, senses = watching.objects, watching.senses
     real = AgentConnections(
-        objects.client, objects.view, "127.0.0.1", objects.crash_points, senses.roles, objects.wakeups
+        objects.client, objects.view, "127.0.0.1", objects.crash_points, senses.roles, objects.wakeups, objects.proof
     )
     watching.watch = watching.watch_by(real)
     assert watching.looks(2 * LOOKS) == []

@@ -83,7 +83,9 @@ def policy() -> FailurePolicySpec:
 @pytest.fixture
 async def agents(agent: RecordingAgent, objects: ClusterObjects) -> AsyncIterator[AgentConnections]:
     roles = InstanceRoles(objects.view, objects.gate, CurrentRecovery())
-    made = AgentConnections(objects.client, objects.view, "127.0.0.1", objects.crash_points, roles, objects.wakeups)
+    made = AgentConnections(
+        objects.client, objects.view, "127.0.0.1", objects.crash_points, roles, objects.wakeups, objects.proof
+    )
     made.follow([INSTANCE])
     async with asyncio.timeout(20):
         while not agent.epochs("configure"):

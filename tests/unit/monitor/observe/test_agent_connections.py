@@ -20,6 +20,7 @@ from understudy.api.protocol.secure_channel import AuthenticationFailed, accept
 from understudy.failover.interfaces import Instance
 from understudy.kube.agent_client import AgentLink
 from understudy.kube.client import SECRETS, ApiError
+from understudy.kube.gates.base import Proof
 from understudy.monitor.observe import agent_connections as module
 from understudy.monitor.observe.agent_connections import AgentConnections
 from understudy.monitor.observe.current_recovery import CurrentRecovery
@@ -81,10 +82,27 @@ def reads(client: MemoryClient) -> int:
     return sum(method == "GET" for method, _, _ in client.requests)
 
 
-def connections() -> tuple[MemoryClient, AgentConnections]:
+class Trusted(Proof):
+    """Notes whose packets are to count."""
+
+    def __init__(self) -> None:
+        self.signed: dict[str, list[bytes]] = {}
+        self.unsigned: set[str] = set()
+
+    def trust(self, uid: str, key: bytes) -> None:
+        self.signed.setdefault(uid, []).append(key)
+
+    def trust_unsigned(self, uid: str) -> None:
+        self.unsigned.add(uid)
+
+
+def connections(probes: Proof | None = None) -> tuple[MemoryClient, AgentConnections]:
     objects = ClusterObjects()
     client, roles = objects.client, InstanceRoles(objects.view, objects.gate, CurrentRecovery())
-    return client, AgentConnections(client, objects.view, "127.0.0.1", objects.crash_points, roles, objects.wakeups)
+    probes = probes or Trusted()
+    return client, AgentConnections(
+        client, objects.view, "127.0.0.1", objects.crash_points, roles, objects.wakeups, probes
+    )
 
 
 async def test_a_recreated_secret_is_read_when_an_agent_refuses_the_token(
@@ -195,6 +213,27 @@ async def test_a_caller_that_gives_up_does_not_end_the_connection_that_another_o
                 await agents.up(INSTANCE)
     assert not other.done()
     other.cancel()
+
+
+async def test_probes_of_an_instance_count_with_the_key_of_each_session(agent: Agent) -> None:
+    probes = Trusted()
+    client, agents = connections(probes)
+    await keep(client, b"second")
+    agents.follow([INSTANCE])
+    await eventually(lambda: probes.signed)
+    agent.writers[-1].transport.abort()
+    await eventually(lambda: len(set(probes.signed[INSTANCE.uid])) == 2)
+    assert not probes.unsigned
+    agents.follow([])
+
+
+async def test_probes_without_a_mac_count_only_of_a_pod_whose_agent_is_old(agent: Agent) -> None:
+    probes = Trusted()
+    _, agents = connections(probes)
+    old = replace(INSTANCE, uid="uid-2", ip="127.0.0.77", agent_protocol=1, terminating=True)
+    agents.follow([INSTANCE, old, replace(old, uid="uid-3", has_agent=False)])
+    assert probes.unsigned == {"uid-2"}
+    agents.follow([])
 
 
 async def test_an_agent_of_another_pod_at_the_address_is_not_believed(agent: Agent) -> None:

@@ -21,7 +21,7 @@ from understudy.api import names
 from understudy.kube import selectors
 from understudy.kube.client import NETWORK_POLICIES, Object, Resource
 from understudy.kube.gates.base import GateKind, Reach
-from understudy.kube.gates.probes import ProbeReceiver
+from understudy.kube.gates.probes import ProbeKeys, ProbeReceiver
 from understudy.kube.gates.unclaimed_pod_policy import network_policy
 
 _LAST_PORT = 65535
@@ -120,8 +120,8 @@ class NetworkPolicyGate(GateKind):
         return [(NETWORK_POLICIES, policy) for policy in found]
 
     async def proof(self) -> ProbeReceiver:
-        """Receive the datagrams that the agents send to a gated port of the monitor's pod."""
-        receiver = ProbeReceiver()
+        """Receive the datagrams that the agents send to a gated port of the monitor's pod, and that are authentic."""
+        receiver = ProbeReceiver(ProbeKeys())
         await receiver.listen(port=names.PROBE_PORT)
         return receiver
 
