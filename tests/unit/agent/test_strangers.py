@@ -10,7 +10,7 @@ import pytest
 
 from tests.support.agents import IdleAgent
 from understudy.agent.control_channel import PENDING, ControlChannel
-from understudy.api.protocol import agent_messages as wire
+from understudy.api.protocol import secure_channel
 from understudy.kube.agent_client import AgentLink
 
 Connection = tuple[asyncio.StreamReader, asyncio.StreamWriter]
@@ -50,25 +50,26 @@ def strangers(port: int) -> Iterator[Strangers]:
     made.close()
 
 
-async def greeted(port: int) -> tuple[Connection, str]:
-    """A monitor's connection, and the nonce that it was sent."""
-    reader, writer = await asyncio.open_connection("127.0.0.1", port, local_addr=("127.0.0.1", 0))
-    return (reader, writer), wire.decode(await reader.readline())["nonce"]
+async def connected(port: int) -> Connection:
+    """A monitor's connection, before it has proved anything."""
+    return await asyncio.open_connection("127.0.0.1", port, local_addr=("127.0.0.1", 0))
 
 
-async def assert_let_in(connection: Connection, nonce: str) -> None:
+async def assert_let_in(connection: Connection) -> None:
     """The monitor proves the token, and receives the status."""
     reader, writer = connection
-    writer.write(wire.encode({"workload": "w", "claim": "", "mac": wire.mac(IdleAgent.secret, nonce, "w", "")}))
     async with asyncio.timeout(5):
-        assert "status" in wire.decode(await reader.readline())
+        channel = await secure_channel.connect(
+            reader, writer, uid=IdleAgent.uid, token=IdleAgent.secret, workload="w", claim=""
+        )
+        assert "status" in await channel.read()
     writer.close()
 
 
 async def test_a_flood_from_one_pod_does_not_keep_the_monitor_out(port: int, strangers: Strangers) -> None:
-    monitor = await greeted(port)
+    monitor = await connected(port)
     await strangers.connect("127.0.0.2", 200)
-    await assert_let_in(*monitor)
+    await assert_let_in(monitor)
 
 
 async def test_a_flood_from_several_pods_does_not_keep_the_monitor_out(port: int, strangers: Strangers) -> None:
@@ -76,15 +77,15 @@ async def test_a_flood_from_several_pods_does_not_keep_the_monitor_out(port: int
     pods = [f"127.0.0.{2 + number}" for number in range(most // most_of_one + 2)]
     for pod in pods:
         await strangers.connect(pod, most_of_one)
-    monitor = await greeted(port)
+    monitor = await connected(port)
     for pod in pods:
         await strangers.connect(pod, most)
-    await assert_let_in(*monitor)
+    await assert_let_in(monitor)
 
 
 async def test_a_monitor_connects_during_a_flood(port: int, strangers: Strangers) -> None:
     flood = asyncio.create_task(strangers.connect("127.0.0.2", 10_000))
-    link = AgentLink("127.0.0.1", port, IdleAgent.secret, "w", "")
+    link = AgentLink("127.0.0.1", port, IdleAgent.secret, "w", "", uid=IdleAgent.uid)
     try:
         await asyncio.sleep(0.2)
         await link.wait_connected(5)
@@ -96,7 +97,7 @@ async def test_a_monitor_connects_during_a_flood(port: int, strangers: Strangers
 
 async def test_sessions_of_monitors_do_not_count_as_pending(port: int, strangers: Strangers) -> None:
     """A monitor may share its address with strangers, behind a network that translates addresses."""
-    link = AgentLink("127.0.0.1", port, IdleAgent.secret, "w", "")
+    link = AgentLink("127.0.0.1", port, IdleAgent.secret, "w", "", uid=IdleAgent.uid)
     try:
         await link.wait_connected(5)
         await strangers.connect("127.0.0.1", 100)
