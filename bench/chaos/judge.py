@@ -30,6 +30,12 @@ STALL = 0.5
 LAG = 0.5
 """Largest delay of the record of a commit, in seconds: the new instance's commands may arrive that much earlier."""
 
+NOTICED = 1.5
+"""Seconds after which the witness has noticed the deletion of a pod: it looks every second."""
+
+DELETED = "is being deleted"
+"""End of the reason of a failover from a pod that somebody deleted."""
+
 TOGETHER = 1.0
 """Two instances drive together if their commands take turns with pauses shorter than this, in seconds."""
 
@@ -643,8 +649,9 @@ def rightness(recovery: Recovered, seen: Seen, injected: Sequence[Injected]) -> 
     detected = recovery.moments.get("detected")
     if detected is None:
         return "right"
-    if seen.deleted.get(recovery.old, math.inf) <= detected:
-        return "right"  # nobody can keep a pod that is being deleted
+    # Nobody can keep a pod that is being deleted. The witness may notice the deletion after the monitor, which deletes failed pods itself.
+    if seen.deleted.get(recovery.old, math.inf) <= detected + (NOTICED if recovery.reason.endswith(DELETED) else 0.0):
+        return "right"
     before_it = RESTART_KNOWN if UNSEEN in recovery.reason else 2 * seen.timeout
     if (first := re.search(FIRST_SECONDS, recovery.reason)) is not None:
         before_it += float(first[1])

@@ -304,6 +304,9 @@ def test_a_failover_of_a_pod_that_is_being_deleted_is_right() -> None:
     commands, recoveries = log(drive("a", 1, 10.55), drive("b", 10.62, 20)), [recovery(10.5, 10.6)]
     assert whats(judged(commands, recoveries=recoveries, deleted={"a": 9.0})) == []
     assert whats(judged(commands, recoveries=recoveries, deleted={"a": 12.0})) == ["false failover"]
+    noticed = [recovery(10.5, 10.6, reason="pod a is being deleted")]
+    assert whats(judged(commands, recoveries=noticed, deleted={"a": 11.4})) == [], "the witness looks every second"
+    assert whats(judged(commands, recoveries=noticed, deleted={"a": 12.5})) == ["false failover"]
 
 
 def test_a_new_monitor_that_never_heard_the_instance_listened_for_the_seconds_that_it_reports() -> None:
