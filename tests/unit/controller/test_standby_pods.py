@@ -50,6 +50,24 @@ class TestStandbys:
         assert patched(plan, "pods")["w-s"]["metadata"]["labels"][names.POOL] == "hot"
         assert not created(plan, "pods")
 
+    @pytest.mark.parametrize("which", ["of an old template", "the newest", "of a pool that no longer serves"])
+    def test_no_instance_is_deleted_while_the_gate_that_names_the_active_one_is_missing(self, which: str) -> None:
+        labels = {"task": "other"} if which == "of a pool that no longer serves" else None
+        status = {"gate": {"epoch": 2, "active": "w-s"}}
+        world = World(workload(labels=labels, status=status), policy("hot"), hot())
+        world.build()
+        present = "" if labels else world.template_hash
+        template = "old" if which == "of an old template" else present
+        active = standby_pod("w-s", of=world.workload, age=50, template_hash=template)
+        others = [] if labels else [standby_pod("w-t", of=world.workload, template_hash=present, age=300)]
+        world.pods = [active, *others, source_pod("w-a", template_hash=world.own_hash, ready=False)]
+        world.own(gate(world.workload, active=active, epoch=2))
+        assert not deleted(world.plan())
+        del world.owned["networkpolicies", "w-gate"]
+        plan = world.plan()
+        assert [body["metadata"]["name"] for body in created(plan, "networkpolicies")] == ["w-gate"]
+        assert not deleted(plan)
+
     def test_an_active_standby_counts_so_that_no_further_one_is_created(self) -> None:
         world = World(workload(), policy("hot"), hot())
         active = standby_pod("w-s", of=world.workload)

@@ -135,9 +135,8 @@ def _gate(made: Plan, observed: Observed, spec: RobotWorkloadSpec, images: Image
     shield = control_plane_policies.policy(name, reach, images.metrics_from)
     made.writes.append(_ours(observed, NETWORK_POLICIES, shield))
     if gate is None:
-        epoch = ((workload.get("status") or {}).get("gate") or {}).get("epoch") or 0
         fenced = workload["metadata"]["generation"] if spec.pause is not None and spec.pause.is_fence else 0
-        closed = kind.closed(name, reach, epoch=epoch, fenced=fenced)
+        closed = kind.closed(name, reach, epoch=observed.reported_epoch, fenced=fenced)
         made.writes.append(Create(kind.resource, ownership.ours(closed, owner, workload)))
     elif repair := kind.repair(gate, reach, owner=owner, labels=kube_objects.MANAGED_BY):
         made.writes.append(Patch(kind.resource, gate, repair))

@@ -141,9 +141,17 @@ class Observed:
 
     @property
     def recovering(self) -> bool:
-        """Whether a recovery is in progress, as far as the operator can see."""
-        epoch = kube_objects.notes(self.gate).get(names.EPOCH, "0") if self.gate else "0"
+        """Whether a recovery is in progress, as far as the operator can see.
+
+        A gate that somebody deleted counts as the closed one that is created in its place: the instance that it named may drive again.
+        """
+        epoch = kube_objects.notes(self.gate).get(names.EPOCH, "0") if self.gate else str(self.reported_epoch)
         return self.written_recovering or (epoch != "0" and not kube_objects.active(self.gate)[0])
+
+    @property
+    def reported_epoch(self) -> int:
+        """The last epoch of the gate that the monitor has reported; 0 if it has reported none."""
+        return ((self.workload.get("status") or {}).get("gate") or {}).get("epoch") or 0
 
     @property
     def handing_over(self) -> bool:
