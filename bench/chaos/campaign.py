@@ -162,6 +162,7 @@ def _judge(
         astray=witness.astray(robot.workload),
         unstarted=witness.unstarted(robot.name),
         deleted=witness.deleted(),
+        created=witness.created(),
     )
     dump(
         folder / f"{robot.name}.json",
@@ -179,6 +180,7 @@ def _judge(
         unled=seen.unled,
         unstarted=seen.unstarted,
         deleted=seen.deleted,
+        created=seen.created,
     )
     return judge(seen, injected)
 

@@ -183,6 +183,8 @@ class Seen:
     """From when to when a pod of it existed that no kubelet had begun to start."""
     deleted: Mapping[str, float] = field(default_factory=dict)
     """When each pod that is or was being deleted was first seen to be."""
+    created: Mapping[str, float] = field(default_factory=dict)
+    """When each pod was created, in whole Unix seconds."""
 
 
 @dataclass(frozen=True)
@@ -321,8 +323,8 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
         for one in theirs
         if BY_NAME[one.fault.kind].loses_packets and one.fault.victim != STANDBY
     ]
-    for begin, length, strategy, allowed in gaps(seen, theirs, leaked):
-        heard = min(begin + length, _heard_until(seen, begin, begin + length)) if strategy else begin + length
+    for begin, end, length, strategy, allowed in gaps(seen, theirs, leaked):
+        heard = min(end, _heard_until(seen, begin, end)) if strategy else end
         lost = covered(lossy, begin, heard)
         if lost and length - lost <= allowed:
             found.one_sided.append(lost if strategy else length)
@@ -332,7 +334,7 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
         found.gaps.setdefault(strategy or "no recovery", []).append(length)
         if length > allowed:
             text = f"{length:.2f} s without a command ({strategy or 'no recovery'}; {allowed:.2f} s are allowed)"
-            violation("gap", begin + length, text, begin)
+            violation("gap", end, text, begin)
     for last, first, steps in lost_steps(seen):
         at, pods = first.received, (last.source, first.source)
         alone = covered(unwatched(seen, theirs), at - 1.0, at) or is_unfenceable(seen, injected, first.source, at)
@@ -512,9 +514,9 @@ def closed_for_leaks(seen: Seen, injected: Sequence[Injected]) -> Iterator[tuple
 
 def gaps(
     seen: Seen, injected: Sequence[Injected], leaked: Sequence[tuple[float, float]] = ()
-) -> Iterator[tuple[float, float, str, float]]:
-    """Yield each silence that is longer than the timeout: its begin, its length without the time that faults explain, the strategy that
-    ended it (empty for none), and the length that this strategy may take.
+) -> Iterator[tuple[float, float, float, str, float]]:
+    """Yield each silence that is longer than the timeout: its begin, its end, its length without the time that faults explain, the strategy
+    that ended it (empty for none), and the length that this strategy may take.
 
     ``leaked`` are the times in which the gate may have been closed because the network let a fenced instance through.
     """
@@ -533,8 +535,19 @@ def gaps(
             nobodys += seen.unled  # new pods of pools come from the operator
         explained = covered([*waits, *leaked, *nobodys], a.received, b.received)
         allowed = seen.timeout + SWITCH + sum(_allowed(recovery) for recovery in found)
+        if given_up and _was_last(seen, injected, a, b):
+            allowed += VERIFY_WITHIN["Restart"]
         strategy = max(found, key=_allowed).strategy if found else ""
-        yield a.received, b.received - a.received - explained, strategy, allowed
+        yield a.received, b.received, b.received - a.received - explained, strategy, allowed
+
+
+def _was_last(seen: Seen, injected: Sequence[Injected], last: Command, first: Command) -> bool:
+    """Return whether somebody deleted the last instance in a silence, so that the next one had to be started."""
+    until = seen.created.get(first.source, 0.0) + 1.0
+    return any(
+        one.fault.kind == "delete" and one.told.split()[:1] == [last.source] and last.received <= one.begun <= until
+        for one in injected
+    )
 
 
 def unrepaired(seen: Seen, injected: Sequence[Injected], begin: float, end: float) -> list[tuple[float, float]]:

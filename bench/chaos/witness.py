@@ -108,6 +108,7 @@ class Witness:
         self._begun: dict[str, tuple[set[str], float, float]] = {}
         """By the UID of a pod: the values of its labels, when it was created, and when a kubelet began to start it, or it was last seen."""
         self._deleted: dict[str, float] = {}
+        self._created: dict[str, float] = {}
         self._evicted: dict[str, tuple[str, float]] = {}
         """By the UID of a monitor's pod: its workload, and when it was first seen to be evicted."""
         self._read: dict[Path, int] = {}
@@ -185,6 +186,10 @@ class Witness:
     def deleted(self) -> dict[str, float]:
         """Return when each pod was first seen to be deleted."""
         return dict(self._deleted)
+
+    def created(self) -> dict[str, float]:
+        """Return when each pod was created."""
+        return dict(self._created)
 
     def _living(self) -> list[PodSeen]:
         return [pod for pod in self._pods.values() if not pod.deleted and pod.node]
@@ -292,6 +297,7 @@ class Witness:
         labels = set((metadata.get("labels") or {}).values())
         now = time.time()
         self._begun[metadata["uid"]] = labels, unix(metadata["creationTimestamp"]), unix(begun) if begun else now
+        self._created[metadata["name"]] = unix(metadata["creationTimestamp"])
         if metadata.get("deletionTimestamp"):
             self._deleted.setdefault(metadata["name"], now)
         found = metadata.get("labels") or {}

@@ -400,6 +400,20 @@ def test_a_gate_that_somebody_deletes_stays_away_until_an_operator_leads(led_aga
     assert whats(judged(commands, commits=commits, unled=[(8.0, led_again)])) == ["gap"], "nobody deleted it"
 
 
+@pytest.mark.parametrize(("created", "expected"), [(13.0, []), (2.0, ["gap"])])
+def test_an_instance_that_is_deleted_while_its_gate_is_missing_is_followed_by_a_new_one(
+    created: float, expected: list[str]
+) -> None:
+    commands = log(drive("a", 1, 10), drive("b", 17, 20))
+    commits = [Commit(0.0, 1, ("a",)), Commit(13.4, 1, ()), Commit(17.0, 2, ("b",))]
+    gate, gone = fault("gate-delete", 10.0), replace(fault("delete", 13.0, number=2), told="a ")
+    more: Any = {"commits": commits, "unled": [(8.0, 13.0)], "created": {"b": created}}
+    found = judged(commands, gate, gone, **more)
+    assert whats(found) == expected
+    assert all(violation.faults == (1, 2) for violation in found.violations)
+    assert whats(judged(commands, gate, **more)) == ["gap"]
+
+
 @pytest.mark.parametrize(("led_again", "expected"), [(13.0, []), (11.0, ["double drive", "fenced instance"])])
 def test_an_instance_may_drive_beside_another_one_until_an_operator_restores_a_deleted_gate(
     led_again: float, expected: list[str]
