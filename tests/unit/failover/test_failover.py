@@ -68,6 +68,23 @@ async def test_an_instance_that_was_silent_because_somebody_deleted_the_gate_is_
     assert store.deleted == []
 
 
+async def test_nobody_is_deleted_while_the_gate_is_missing() -> None:
+    store = protected()
+    store.unlisted = store.watched = True
+    world = World(store)
+    recovering = asyncio.create_task(
+        recover(failure(world), choices(UninitializedFallback("spare"), Restart()), world.context())
+    )
+    await asyncio.sleep(VERIFY_WITHIN / 10)
+    store.gateless = True
+    await asyncio.sleep(0.5 * VERIFY_WITHIN)  # the first strategy takes a third of it
+    assert store.deleted == [], "Restart is tried by now"
+    store.gateless, store.gate = False, GateState(epoch=1)  # the operator created it again
+    with pytest.raises(NoLongerNeeded):
+        await recovering
+    assert store.deleted == []
+
+
 async def test_a_workload_that_loses_a_claim_claims_another_pod() -> None:
     store = protected(pool="spare", held=True)
     store.add("w-3", pool="spare", held=True)

@@ -104,6 +104,8 @@ class Store:
     """How unclaimed pods were looked for."""
     unlisted: bool = False
     """Whether the API server does not answer requests for unclaimed pods."""
+    gateless: bool = False
+    """Whether somebody deleted the gate, and nobody has created it again."""
     list_refusal: str = ""
     """Why the API server refuses requests for unclaimed pods."""
     other_parts: set[str] = field(default_factory=set)
@@ -187,7 +189,13 @@ class _Gate(_Part):
         self._cached_gate = world.store.gate
 
     @property
+    def exists(self) -> bool:
+        return not self.store.gateless
+
+    @property
     def state(self) -> GateState:
+        if self.store.gateless:
+            return GateState()
         return self.store.gate if self.store.watched else self._cached_gate
 
     async def commit(self, target: Instance | None, progress: Progress | None) -> GateState:

@@ -95,7 +95,13 @@ async def both(*work: Coroutine[Any, Any, object]) -> None:
 
 
 async def close(progress: Progress, context: StrategyContext) -> None:
-    """Close the gate, which fences every instance. A gate that is closed without a commit is a new one: somebody deleted the former one."""
+    """Close the gate, which fences every instance.
+
+    A gate that is closed without a commit is a new one: somebody deleted the former one. While there is none, nobody knows whether the
+    instance failed or only could not reach the robot, so nothing is done to it.
+    """
+    while not context.gate.exists:
+        await asyncio.sleep(MOMENT)
     state = context.gate.state
     if not state.closed or state.epoch == progress.open_at:
         await context.gate.commit(None, progress)
