@@ -638,8 +638,8 @@ def lost_steps(seen: Seen) -> Iterator[tuple[Command, Command, int]]:
 
 
 def unkept(seen: Seen, injected: Sequence[Injected], last: Command) -> int:
-    """Return how many steps an instance had made up to its last command since its monitor had ended or was frozen; 0 if one had received it
-    since. All of them, if a node was lost with both: the state is kept on the monitor's node by default (docs/state.md).
+    """Return how many steps an instance had made up to its last command since its monitor had ended, was frozen or cut off; 0 if one had
+    received it since. All of them, if a node was lost with both: the state is kept on the monitor's node by default (docs/state.md).
 
     Nobody keeps these steps, which are lost if the instance fails then.
     """
@@ -649,12 +649,11 @@ def unkept(seen: Seen, injected: Sequence[Injected], last: Command) -> int:
         if lost.fault.kind in NODE_LOST and is_both and abs(last.received - lost.begun) <= TOGETHER:
             return seen.steps[last.sequence]
     frozen = [(one.begun, one.ended) for one in injected if one.fault.kind == "monitor-freeze"]
-    for begin, end in [*seen.unmonitored, *frozen]:
-        if begin < last.received <= end + LISTENS:
-            own = [c for c in seen.commands if c.source == last.source and c.received <= begin]
-            reached = max((seen.steps[c.sequence] for c in own if c.sequence in seen.steps), default=None)
-            return seen.steps[last.sequence] - reached if reached is not None else 0
-    return 0
+    away = [*seen.unmonitored, *frozen, *unwatched(seen, injected)]
+    since = min((begin for begin, end in away if begin < last.received <= end + LISTENS), default=last.received)
+    own = [c for c in seen.commands if c.source == last.source and c.received <= since]
+    reached = max((seen.steps[c.sequence] for c in own if c.sequence in seen.steps), default=None)
+    return seen.steps[last.sequence] - reached if reached is not None else 0
 
 
 def rightness(recovery: Recovered, seen: Seen, injected: Sequence[Injected]) -> str:

@@ -481,6 +481,18 @@ def test_what_an_instance_did_while_no_monitor_ran_is_kept_by_nobody(
 
 
 @pytest.mark.parametrize(("monitor", "expected"), [("node1", []), ("node2", ["state lost"])])
+def test_no_state_is_kept_by_a_monitor_that_is_cut_off_with_its_node(monitor: str, expected: list[str]) -> None:
+    """It ends 6 s after its node is back, and its successor is ready just before the instance fails."""
+    cut = replace(fault("node-cut", 40.0, 46.0), told="node1")
+    commands = log(drive("a", 1, 62), drive("b", 63, 70))
+    steps = {c.sequence: c.sequence if c.source == "a" else 20 * 39 + c.sequence - 20 * 62 for c in commands}
+    more: Any = {"steps": steps, "nodes": {"a": "node3"}, "commits": [Commit(0.0, 1, ("a",)), Commit(63.0, 2, ("b",))]}
+    more |= {"monitors": [(0.0, monitor), (60.0, "node3")], "unmonitored": [(52.0, 60.0)]}
+    found = judged(commands, cut, fault("kill", 62.02), **more)
+    assert [what for what in whats(found) if what == "state lost"] == expected
+
+
+@pytest.mark.parametrize(("monitor", "expected"), [("node1", []), ("node2", ["state lost"])])
 def test_the_state_of_an_instance_is_lost_with_the_node_of_its_monitor(monitor: str, expected: list[str]) -> None:
     commands = log(drive("a", 1, 62), drive("b", 70, 78))
     steps = {c.sequence: c.sequence if c.source == "a" else c.sequence - 1240 for c in commands}
