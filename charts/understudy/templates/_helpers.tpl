@@ -61,3 +61,12 @@ capabilities:
     fieldRef:
       fieldPath: metadata.name
 {{- end -}}
+
+{{- /* Of the matchConstraints of an admission policy: the namespaces that the operator watches. */ -}}
+{{- define "understudy.watched" -}}
+{{- with .Values.watchNamespaces -}}
+namespaceSelector:
+  matchExpressions:
+    - {key: kubernetes.io/metadata.name, operator: In, values: {{ toJson . }}}
+{{- end -}}
+{{- end -}}
