@@ -30,9 +30,6 @@ from understudy.process.connection_limits import ConnectionLimits
 
 _logger = logging.getLogger(__name__)
 
-PENDING = 64, 8
-"""Sessions that have not proved the token yet, in all and of one address, so that strangers cannot keep a monitor out."""
-
 MOST_SESSIONS = 8
 """Sessions that have proved the token. A workload has one monitor, and for a moment two."""
 
@@ -168,7 +165,8 @@ class ControlChannel:
 
     def __init__(self, served: AgentInterface) -> None:
         self._served = served
-        self._pending = ConnectionLimits(*PENDING)
+        self._pending = ConnectionLimits()
+        """Sessions that have not proved the token yet, so that strangers cannot keep a monitor out."""
         self._sessions: list[_Session] = []
         self._last_refusal = ""
 

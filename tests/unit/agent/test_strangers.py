@@ -9,9 +9,10 @@ from collections.abc import AsyncIterator, Iterator
 import pytest
 
 from tests.support.agents import IdleAgent
-from understudy.agent.control_channel import PENDING, ControlChannel
+from understudy.agent.control_channel import ControlChannel
 from understudy.api.protocol import secure_channel
 from understudy.kube.agent_client import AgentLink
+from understudy.process import connection_limits
 
 Connection = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
@@ -73,7 +74,7 @@ async def test_a_flood_from_one_pod_does_not_keep_the_monitor_out(port: int, str
 
 
 async def test_a_flood_from_several_pods_does_not_keep_the_monitor_out(port: int, strangers: Strangers) -> None:
-    most, most_of_one = PENDING
+    most, most_of_one = connection_limits.MOST, connection_limits.MOST_OF_SOURCE
     pods = [f"127.0.0.{2 + number}" for number in range(most // most_of_one + 2)]
     for pod in pods:
         await strangers.connect(pod, most_of_one)

@@ -54,7 +54,8 @@ async def test_a_claimed_pod_is_started_behind_a_closed_gate() -> None:
     assert {"claimed", "fenced", "started", "ready", "routed", "verified"} <= set(done.moments)
 
 
-async def test_an_instance_that_was_silent_because_somebody_deleted_the_gate_is_not_deleted() -> None:
+async def _recovering_without_a_pool() -> tuple[Store, asyncio.Task[Progress]]:
+    """A recovery whose first strategy waits for an answer about a pool, before Restart is tried."""
     store = protected()
     store.unlisted = store.watched = True
     world = World(store)
@@ -62,6 +63,11 @@ async def test_an_instance_that_was_silent_because_somebody_deleted_the_gate_is_
         recover(failure(world), choices(UninitializedFallback("spare"), Restart()), world.context())
     )
     await asyncio.sleep(VERIFY_WITHIN / 10)
+    return store, recovering
+
+
+async def test_an_instance_that_was_silent_because_somebody_deleted_the_gate_is_not_deleted() -> None:
+    store, recovering = await _recovering_without_a_pool()
     store.gate = GateState(epoch=1)  # the operator created it again
     with pytest.raises(NoLongerNeeded):
         await recovering
@@ -69,13 +75,7 @@ async def test_an_instance_that_was_silent_because_somebody_deleted_the_gate_is_
 
 
 async def test_nobody_is_deleted_while_the_gate_is_missing() -> None:
-    store = protected()
-    store.unlisted = store.watched = True
-    world = World(store)
-    recovering = asyncio.create_task(
-        recover(failure(world), choices(UninitializedFallback("spare"), Restart()), world.context())
-    )
-    await asyncio.sleep(VERIFY_WITHIN / 10)
+    store, recovering = await _recovering_without_a_pool()
     store.gateless = True
     await asyncio.sleep(0.5 * VERIFY_WITHIN)  # the first strategy takes a third of it
     assert store.deleted == [], "Restart is tried by now"

@@ -10,7 +10,7 @@ from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.controller.observed.observation import Observed
 from understudy.kube.client import Object
 from understudy.kube.gates.base import Reach
-from understudy.kube.gates.unclaimed_pod_policy import network_policy
+from understudy.kube.gates.policy_parts import addresses, network_policy, ports, protectors
 
 
 def reach(observed: Observed, spec: RobotWorkloadSpec) -> Reach:
@@ -33,15 +33,13 @@ def policy(workload: str, within: Reach, metrics_from: Sequence[Object]) -> Obje
     Those whom the instances may reach discover the robot's graph and are observed, and the instances do so too. An agent that is cut off
     asks monitors of the namespace whether they answer, by TCP at the port of the probes. ``metrics_from`` are the peers that read metrics.
     """
-    outside: list[Object] = [{"ipBlock": {"cidr": cidr}} for cidr in within.robots]
-    selectors = [{"matchLabels": {names.WORKLOAD: workload}}, {"matchLabels": {names.MONITORED: workload}}]
-    selectors += [dict(within.reference)] if within.reference else []
-    ours: list[Object] = [{"podSelector": selector} for selector in selectors]
-    peers = [*(within.peers or [{"podSelector": {}}]), *outside]
-    graph = [_udp(1, names.PROBE_PORT - 1), _udp(names.PROBE_PORT + 1, 65535)]
+    ours: list[Object] = [{"podSelector": {"matchLabels": {names.WORKLOAD: workload}}}, protectors(workload)]
+    ours += [{"podSelector": dict(within.reference)}] if within.reference else []
+    peers = [*(within.peers or [{"podSelector": {}}]), *addresses(within.robots)]
+    graph = [ports("UDP", last=names.PROBE_PORT - 1), ports("UDP", names.PROBE_PORT + 1)]
     ingress: list[Object] = [
         {"from": [*peers, *ours], "ports": graph},
-        {"from": ours, "ports": [_udp(names.PROBE_PORT, names.PROBE_PORT)]},
+        {"from": ours, "ports": [ports("UDP", names.PROBE_PORT, names.PROBE_PORT)]},
         {"from": [{"podSelector": {}}], "ports": [{"protocol": "TCP", "port": names.PROBE_PORT}]},
     ]
     if metrics_from:
@@ -56,7 +54,3 @@ def policy(workload: str, within: Reach, metrics_from: Sequence[Object]) -> Obje
 def _stored(selector: Mapping[str, Any]) -> Object:
     """Return a selector as the API server stores it: without empty parts."""
     return {key: value for key, value in selector.items() if value}
-
-
-def _udp(first: int, last: int) -> Object:
-    return {"protocol": "UDP", "port": first, "endPort": last}

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from understudy.api import names
 from understudy.kube.client import NETWORK_POLICIES, Object
+from understudy.kube.gates.policy_parts import network_policy
 
 RESOURCE = NETWORK_POLICIES
 """Resource of the objects that isolate pods."""
@@ -33,13 +31,3 @@ def held_pods(pool: str, claimable: str) -> Object:
     )
     policy["metadata"]["annotations"] = {names.TEMPLATE_HASH: claimable}
     return policy
-
-
-def network_policy(name: str, selector: Mapping[str, Any], rules: Object) -> Object:
-    """Return a NetworkPolicy with these rules for the pods that a selector matches."""
-    return {
-        "apiVersion": "networking.k8s.io/v1",
-        "kind": "NetworkPolicy",
-        "metadata": {"name": name},
-        "spec": {"podSelector": dict(selector), **rules},
-    }

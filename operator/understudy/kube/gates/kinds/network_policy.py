@@ -21,10 +21,8 @@ from understudy.api import names
 from understudy.kube import selectors
 from understudy.kube.client import NETWORK_POLICIES, Object, Resource
 from understudy.kube.gates.base import GateKind, Reach
+from understudy.kube.gates.policy_parts import addresses, network_policy, ports, protectors
 from understudy.kube.gates.probes import ProbeKeys, ProbeReceiver
-from understudy.kube.gates.unclaimed_pod_policy import network_policy
-
-_LAST_PORT = 65535
 
 _NETWORKS = "k8s.v1.cni.cncf.io/networks"
 """The annotation with which Multus and similar network plugins give a pod further interfaces."""
@@ -100,8 +98,8 @@ class NetworkPolicyGate(GateKind):
     def companions(self, workload: str, reach: Reach) -> list[tuple[Resource, Object]]:
         """Return the policies of every instance."""
         peers, first, last = _peers(workload, reach), *names.GATE_RANGE
-        ungated = [_ports("TCP"), _ports("UDP", 1, first - 1), _ports("UDP", last + 1)]
-        application = [_ports("TCP", 1, names.AGENT_PORT - 1), _ports("TCP", names.AGENT_PORT + 1), _ports("UDP")]
+        ungated = [ports("TCP"), ports("UDP", 1, first - 1), ports("UDP", last + 1)]
+        application = [ports("TCP", 1, names.AGENT_PORT - 1), ports("TCP", names.AGENT_PORT + 1), ports("UDP")]
         rules: Object = {
             "policyTypes": ["Ingress", "Egress"],
             "ingress": [{"from": peers, "ports": application}, {"from": [protectors(workload)]}],
@@ -109,7 +107,7 @@ class NetworkPolicyGate(GateKind):
                 {"to": [*peers, protectors(workload)], "ports": ungated},
                 {"ports": [{"protocol": protocol, "port": port} for protocol in ("UDP", "TCP") for port in _DNS]},
                 *(
-                    {"to": [{"ipBlock": {"cidr": _single(host)}}], "ports": [{"protocol": "TCP", "port": port}]}
+                    {"to": addresses([_single(host)]), "ports": [{"protocol": "TCP", "port": port}]}
                     for host, port in reach.apiservers
                 ),
             ],
@@ -126,16 +124,11 @@ class NetworkPolicyGate(GateKind):
         return receiver
 
 
-def protectors(workload: str) -> Object:
-    """Return the peer of a policy that selects the monitor and the discovery server of a workload, in its own namespace."""
-    return {"podSelector": {"matchLabels": {names.MONITORED: workload}}}
-
-
 def _gated(workload: str, reach: Reach) -> Object:
     """Return the rules of the gate object: UDP to the gated ports of those whom the instances may reach."""
     first, last = names.GATE_RANGE
     to = [*_peers(workload, reach), protectors(workload)]
-    return {"policyTypes": ["Egress"], "egress": [{"to": to, "ports": [_ports("UDP", first, last)]}]}
+    return {"policyTypes": ["Egress"], "egress": [{"to": to, "ports": [ports("UDP", first, last)]}]}
 
 
 def _peers(workload: str, reach: Reach) -> list[Object]:
@@ -153,11 +146,7 @@ def _peers(workload: str, reach: Reach) -> list[Object]:
         for expressions in others:
             selected = {**pods, "matchExpressions": [*(pods.get("matchExpressions") or []), *expressions]}
             found.append({**peer, "podSelector": selected})
-    return found + [{"ipBlock": {"cidr": cidr}} for cidr in reach.robots]
-
-
-def _ports(protocol: str, first: int = 1, last: int = _LAST_PORT) -> Object:
-    return {"protocol": protocol, "port": first, "endPort": last}
+    return found + addresses(reach.robots)
 
 
 def _single(host: str) -> str:

@@ -319,9 +319,9 @@ class GateControl:
             _logger.warning("could not restore whom the gate lets through: %r", error)
             self._refused = (revision, time.monotonic() + WRITE_AGAIN)
             return False
-        words = f"the gate did not let through {record.active or 'nobody'}, as its record says: somebody had edited it"
-        _logger.warning("restored the gate: %s", words)
-        self._notices.event("Warning", "GateRestored", words)
+        self._report_restored(
+            f"the gate did not let through {record.active or 'nobody'}, as its record says: somebody had edited it"
+        )
         return True
 
     async def restore_record(self, progress: Progress) -> bool:
@@ -343,10 +343,12 @@ class GateControl:
             _logger.warning("could not name recovery %s beside the gate again: %r", id_, error)
             return False
         self._own = (id_, epoch, recovery)
-        words = f"the gate no longer named recovery {id_}: somebody had deleted it"
+        self._report_restored(f"the gate no longer named recovery {id_}: somebody had deleted it")
+        return True
+
+    def _report_restored(self, words: str) -> None:
         _logger.warning("restored the gate: %s", words)
         self._notices.event("Warning", "GateRestored", words)
-        return True
 
     def left_by(self, recovery: str) -> AbandonedRecovery | None:
         """Return the record that a recovery (given by its id) has left at the gate or may still leave there; None if there is none."""

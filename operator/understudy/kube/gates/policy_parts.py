@@ -1,0 +1,36 @@
+"""The parts of which NetworkPolicies are made."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from understudy.api import names
+from understudy.kube.client import Object
+
+_LAST_PORT = 65535
+
+
+def network_policy(name: str, selector: Mapping[str, Any], rules: Object) -> Object:
+    """Return a NetworkPolicy with these rules for the pods that a selector matches."""
+    return {
+        "apiVersion": "networking.k8s.io/v1",
+        "kind": "NetworkPolicy",
+        "metadata": {"name": name},
+        "spec": {"podSelector": dict(selector), **rules},
+    }
+
+
+def ports(protocol: str, first: int = 1, last: int = _LAST_PORT) -> Object:
+    """Return a range of ports; all of them by default."""
+    return {"protocol": protocol, "port": first, "endPort": last}
+
+
+def addresses(cidrs: Iterable[str]) -> list[Object]:
+    """Return the peers at addresses outside the cluster."""
+    return [{"ipBlock": {"cidr": cidr}} for cidr in cidrs]
+
+
+def protectors(workload: str) -> Object:
+    """Return the peer that selects the monitor and the discovery server of a workload, in its own namespace."""
+    return {"podSelector": {"matchLabels": {names.MONITORED: workload}}}
