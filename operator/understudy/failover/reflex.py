@@ -105,6 +105,10 @@ async def commit(progress: Progress, context: StrategyContext) -> None:
     Commits nothing if that standby is gone or the gate already names it. ``recover`` handles both cases.
     """
     taken = progress.taken_over
+    if (
+        taken is not None and context.instances.find(taken.uid) is None
+    ):  # a pod without its label is not listed, and drives
+        await context.instances.regain(taken.name, taken.uid)
     target = _instance_taken_over(progress, context)
     if taken is None or target is None or context.gate.state.active_uid == taken.uid:
         return

@@ -136,6 +136,16 @@ async def test_a_standby_that_stops_before_the_commit_is_replaced_by_the_next_st
     assert sum(done.parts.values()) == pytest.approx(done.moments["routed"] - done.moments["last_healthy"])
 
 
+async def test_a_standby_that_took_over_and_lost_its_label_is_not_fenced() -> None:
+    store = fallen_over()
+    store.add("w-3", pool="hot")
+    store.unlabelled.add("w-2")
+    done = await carried_out(reflex_progress(World(store)), World(store))
+    assert (done.result, done.strategy) == ("Recovered", "Fallback/Executing (reflex)")
+    assert store.commits == ["w-2"]
+    assert not store.unlabelled
+
+
 async def test_a_takeover_interrupted_at_any_step_is_finished_by_the_next_monitor() -> None:
     whole = World(fallen_over())
     await carried_out(reflex_progress(whole), whole)
