@@ -1,4 +1,4 @@
-"""A discovery server that lived beside its predecessor on a lost node is replaced: participants may not have announced themselves to it."""
+"""A discovery server learns its predecessor on a lost node from the operator. Its Service is written again after a new server starts."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def marked(server: Object, beside: str) -> Object:
     return found
 
 
-def test_a_server_beside_one_on_a_lost_node_is_replaced_once_that_one_is_gone(world: World) -> None:
+def test_a_server_learns_beside_which_one_on_a_lost_node_it_began(world: World) -> None:
     lost, successor = leaving("w-discovery-1", evicted=True), pod("w-discovery-2")
     lost["status"]["podIP"] = "10.0.0.7"
     world.discovery = [lost, successor]
@@ -54,7 +54,10 @@ def test_a_server_beside_one_on_a_lost_node_is_replaced_once_that_one_is_gone(wo
     world.discovery = [lost, marked(successor, note)]
     assert writes(world) == [], "it may still live on"
     world.discovery = [marked(successor, note)]
-    assert writes(world) == [("Delete", "w-discovery-2")]
+    assert writes(world) == [], "its process may outlive the object"
+    next_lost = leaving("w-discovery-3", evicted=True)
+    world.discovery = [next_lost, marked(successor, note)]
+    assert writes(world) == [("Patch", "w-discovery-2")]
 
 
 def test_the_service_is_written_again_at_intervals_after_a_new_server_is_ready(world: World) -> None:

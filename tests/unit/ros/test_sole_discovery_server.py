@@ -56,6 +56,11 @@ class Hosts:
         (other,) = self._hosts.keys() - {self._leads_to}
         self._inside(other, "ip", "addr", "add", f"{SERVICE}/16", "dev", "eth0")
 
+    def lead_both_to_one(self) -> None:
+        """As on that node some time after the network is back."""
+        (other,) = self._hosts.keys() - {self._leads_to}
+        self._inside(other, "ip", "addr", "del", f"{SERVICE}/16", "dev", "eth0")
+
     def begin_beside(self, host: str, other: str) -> None:
         """Note on the pod of a server beside which other one it began, as the operator does."""
         (self._folder / f"{host}-beside").write_text(f"uid-of-{other}/{ADDRESSES[other]}")
@@ -87,15 +92,19 @@ class Hosts:
         """How often it was ended for another one."""
         return (self._folder / host).read_text().count("this one ends")
 
+    def starts_again(self, host: str) -> int:
+        """How often it was ended and started again, because another one ran beside it."""
+        return (self._folder / host).read_text().count("starts again")
+
     def reports(self, host: str) -> int:
         """How often the server of a host reported its end to its participants."""
         return (self._folder / host).read_text().count("reports its end")
 
-    def end(self) -> None:
-        for supervisor in self._started.values():
+    def end(self, *hosts: str) -> None:
+        for host in hosts or tuple(self._started):
+            supervisor = self._started.pop(host)
             supervisor.terminate()
             assert supervisor.wait(10) == 0
-        self._started.clear()
 
     def _inside(self, host: str, *command: str) -> None:
         subprocess.run([*self._hosts[host], *command], check=True)
@@ -131,6 +140,8 @@ def test_a_server_ends_when_the_service_leads_to_another_one_and_starts_when_it_
     hosts.start("b")
     eventually(lambda: hosts.starts("b") == 1)
     assert hosts.ends("a") == 1, "before the other one begins"
+    time.sleep(QUIET + 2.0)
+    assert hosts.starts("b") == 1, "they did not run beside each other"
 
     hosts.lead_to("a")
     eventually(lambda: hosts.starts("a") == 2)
@@ -148,6 +159,31 @@ def test_a_server_ends_for_its_successor_although_the_service_still_leads_it_to_
     eventually(lambda: hosts.ends("a") == 1)
     time.sleep(QUIET + 2.0)
     assert (hosts.starts("a"), hosts.ends("b")) == (1, 0), "it stays ended as long as its successor runs"
+
+
+def run_beside_each_other(hosts: Hosts) -> None:
+    run_a_and_lead_to_b(hosts)
+    hosts.lead_each_to_itself()
+    hosts.start("b")
+    eventually(lambda: hosts.starts("b") == 1)
+    assert hosts.ends("a") == 0
+
+
+def test_a_server_starts_again_after_another_one_ran_beside_it(hosts: Hosts) -> None:
+    run_beside_each_other(hosts)
+    hosts.lead_both_to_one()
+    eventually(lambda: hosts.starts("b") == 2)
+    assert (hosts.ends("a"), hosts.starts_again("b")) == (1, 1), "participants mix up the numbers of the two"
+    time.sleep(QUIET + 2.0)
+    assert (hosts.starts("a"), hosts.starts("b")) == (1, 2)
+
+
+def test_a_server_that_its_kubelet_ends_reports_that_it_ran_beside_another_one(hosts: Hosts) -> None:
+    run_beside_each_other(hosts)
+    hosts.begin_beside("b", "a")
+    hosts.end("a")
+    eventually(lambda: hosts.starts("b") == 2)
+    assert hosts.starts_again("b") == 1
 
 
 def test_a_server_of_another_workload_does_not_end_it(hosts: Hosts) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from understudy.api import names
 from understudy.controller import plan
 from understudy.controller.observed import kube_objects
-from understudy.controller.plan import Delete, Images, Patch, Write, priority, pull_secrets
+from understudy.controller.plan import Images, Patch, Write, priority, pull_secrets
 from understudy.controller.pods import pod_placement
 from understudy.controller.pods.instance_pod import HARDENED
 from understudy.kube.client import PODS, Object
@@ -119,26 +119,25 @@ def deployment(workload: str, images: Images, address: str) -> Object:
     return plan.deployment(names.discovery(workload), _labels(workload), {}, pod)
 
 
-def replacements(pods: Sequence[Object]) -> list[Write]:
-    """Return the writes that replace a server once another one is gone beside which it began.
+def notes_of_predecessors(pods: Sequence[Object]) -> list[Write]:
+    """Return the writes that note on a server's pod beside which other one it began: one on a lost node, which may live on and come back.
 
-    All servers of a workload have one GUID. A server on a lost node may live on and come back, and participants that hear it do not
-    introduce themselves to its successor. The successor would not know, for example, all topics of the robot, as long as it lives. The
-    annotation also shows the successor where to end the one that comes back (ros/dds/sole_server.py), after
-    which nothing else resets the participants that heard both.
+    The annotation shows the successor where to end that one (ros/dds/sole_server.py). It stays after the lost pod is gone, because the
+    process may outlive its object.
     """
     present = {kube_objects.uid(pod) for pod in pods}
     lost = next((pod for pod in pods if kube_objects.evicted(pod)), None)
-    writes: list[Write] = []
-    for pod in filter(kube_objects.alive, pods):
-        beside = (pod["metadata"].get("annotations") or {}).get(names.BESIDE)
-        if beside is None and lost is not None:
-            address = (lost.get("status") or {}).get("podIP", "")
-            note = f"{kube_objects.uid(lost)}/{address}"
-            writes.append(Patch(PODS, pod, {"metadata": {"annotations": {names.BESIDE: note}}}))
-        elif beside is not None and beside.partition("/")[0] not in present:
-            writes.append(Delete(PODS, pod))
-    return writes
+    if lost is None:
+        return []
+    note = f"{kube_objects.uid(lost)}/{(lost.get('status') or {}).get('podIP', '')}"
+    patch = {"metadata": {"annotations": {names.BESIDE: note}}}
+    successors = filter(kube_objects.alive, pods)
+    return [Patch(PODS, pod, patch) for pod in successors if _predecessor(pod) not in present]
+
+
+def _predecessor(server: Object) -> str:
+    """Return the UID of the noted predecessor of a server; empty if there is none."""
+    return kube_objects.notes(server).get(names.BESIDE, "").partition("/")[0]
 
 
 def _apart(workload: str) -> Object:

@@ -115,7 +115,7 @@ def _discover(made: Plan, observed: Observed, spec: RobotWorkloadSpec, images: I
     made.writes.append(_ours(observed, SERVICES, discovery_server.service(name, remembered, server=server)))
     if (address := discovery_server.address(service) or remembered) is not None:
         made.writes.append(_ours(observed, DEPLOYMENTS, discovery_server.deployment(name, own_images, address)))
-        made.writes += discovery_server.replacements(observed.discovery)
+        made.writes += discovery_server.notes_of_predecessors(observed.discovery)
 
 
 def _remembered_address(observed: Observed) -> str | None:

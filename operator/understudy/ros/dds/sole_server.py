@@ -15,7 +15,8 @@ that it has accepted. Without such a message, participants notice the end 2 s af
 for that.
 
 Two servers may still run beside each other for some seconds, for example when a node returns. A participant that heard both mixes up
-their numbers in the same way, so the operator replaces the later one as well (controller/desired/discovery_server.py).
+their numbers in the same way. So a server that ends for another one, or that is ended, reports to it that they ran beside each other.
+The other one is killed too and starts again, which resets the participants.
 
 A server that receives no answer goes on: the network may be down, or may not lead a pod back to itself. A server on a node that was cut
 off asks only itself, until its node knows again where the Service leads. That may be seconds after its packets reach the participants
@@ -55,11 +56,17 @@ REPLACED_AFTER = 2
 """Answers of another process in a row after which a server ends. The other one answers from its start, so that this server ends before
 the other one begins."""
 
+LAST_WORDS = 1.0
+"""Maximum seconds in which a server that is ended looks for another one to which the Service leads."""
+
 SUCCEEDS_EVERY = 0.1
 """Seconds between two packets to a predecessor that may live on. Its server announces itself twice a second."""
 
 TOKEN = 16
-"""Bytes of a token, of the nonce that belongs to a question, and of what names the Service in a packet to a predecessor."""
+"""Bytes of a token, of the nonce that belongs to a question, and of what names the Service in a packet to another server."""
+
+RAN_BESIDE = b"beside"
+"""The end of a packet that reports that the sender's server and the receiver's ran beside each other."""
 
 Answer = Literal["self", "another", "nobody"]
 
@@ -77,11 +84,17 @@ class SoleServer:
         """What names the Service: the address of a pod that is gone may be that of another workload's server now."""
         self._successor: str | None = None
         """The address from which another server has reported to be the successor of this one."""
+        self._is_mixed_up = False
+        """Whether another server has reported that it ran beside this one."""
         self._family = socket.AF_INET6 if ":" in address else socket.AF_INET
         self._token = secrets.token_bytes(TOKEN)
         self._server: subprocess.Popen[bytes] | None = None
+        self._is_successor = False
+        """Whether this server runs, or starts again, in the place of its predecessor."""
         self._answering = socket.socket(self._family, socket.SOCK_DGRAM)
         self._answering.bind(("", port))
+        self._has_ended = False
+        """Whether a signal has ended the server. Questions are not answered any more."""
 
     def run(self) -> int:
         """Run until the command ends by itself, or a signal ends this process. Returns the exit status."""
@@ -97,19 +110,28 @@ class SoleServer:
                 else:
                     answer = self._ask(self._at[0])
                     others = others + 1 if answer == "another" else 0 if answer == "self" else others
+                is_mixed_up, self._is_mixed_up = self._is_mixed_up, False
                 if self._server is None:
-                    if others:
+                    if others or is_mixed_up:
+                        self._is_successor = self._is_successor and not others
                         others, quiet_since = 0, asked
                     elif asked - quiet_since >= QUIET:
-                        self._server = subprocess.Popen(self._command)
+                        self._server, self._is_successor = subprocess.Popen(self._command), True
                 elif (status := self._server.poll()) is not None:
                     return status
-                elif others >= REPLACED_AFTER:
-                    print("another discovery server is in this one's place: this one ends", flush=True)
+                elif others >= REPLACED_AFTER or is_mixed_up:
+                    self._is_successor = others < REPLACED_AFTER
+                    if self._is_successor:
+                        print("another discovery server ran beside this one: this one starts again", flush=True)
+                    else:
+                        print("another discovery server is in this one's place: this one ends", flush=True)
                     self._stop()
                     others, quiet_since = 0, time.monotonic()
                 self._serve(asked + PERIOD, asked + SUCCEEDS_EVERY)
         except _Ended:
+            if self._server is not None:
+                self._stop()
+                self._report_end()
             return 0
         finally:
             self._stop()
@@ -126,8 +148,20 @@ class SoleServer:
             self._server.wait()
         self._server = None
 
+    def _report_end(self) -> None:
+        """Report to the server to which the Service leads, if any, that another one ran until now."""
+        self._has_ended = True
+        end = time.monotonic() + LAST_WORDS
+        while (asked := time.monotonic()) < end:
+            if self._ask(self._successor or self._at[0]) == "another":
+                return
+            time.sleep(max(0.0, asked + SUCCEEDS_EVERY - time.monotonic()))
+
     def _ask(self, address: str) -> Answer:
-        """Ask from a port of its own, so that the answer comes from where the Service leads now."""
+        """Ask from a port of its own, so that the answer comes from where the Service leads now.
+
+        Reports to another server that this one runs, or ran until a signal ended it.
+        """
         nonce = secrets.token_bytes(TOKEN)
         with socket.socket(self._family, socket.SOCK_DGRAM) as asking, contextlib.suppress(OSError):
             asking.sendto(nonce, (address, self._at[1]))
@@ -136,7 +170,11 @@ class SoleServer:
                 if asking in self._wait(left, asking):
                     answer = asking.recv(2 * TOKEN + 1)
                     if answer[:TOKEN] == nonce and len(answer) == 2 * TOKEN:
-                        return "self" if answer[TOKEN:] == self._token else "another"
+                        if answer[TOKEN:] == self._token:
+                            return "self"
+                        if self._has_ended or self._server is not None:
+                            asking.sendto(self._service + RAN_BESIDE, (address, self._at[1]))
+                        return "another"
         return "nobody"
 
     def _serve(self, end: float, least: float) -> None:
@@ -146,8 +184,8 @@ class SoleServer:
             self._wait(min(SUCCEEDS_EVERY, end - now))
 
     def _succeed(self) -> None:
-        """Report to the predecessor that this server runs in its place."""
-        if self._server is None:
+        """Report to the predecessor that this server is in its place."""
+        if not self._is_successor:
             return
         with contextlib.suppress(OSError):  # there is no such file, or no way to its address
             predecessor = self._beside.read_text().strip().partition("/")[2]
@@ -160,10 +198,12 @@ class SoleServer:
         if self._answering in readable:
             with contextlib.suppress(OSError):
                 packet, sender = self._answering.recvfrom(2 * TOKEN + 1)
-                if len(packet) == TOKEN:
+                if len(packet) == TOKEN and not self._has_ended:
                     self._answering.sendto(packet + self._token, sender)
                 elif len(packet) == 2 * TOKEN and packet[:TOKEN] == self._service:
                     self._successor = sender[0]
+                elif packet == self._service + RAN_BESIDE:
+                    self._is_mixed_up = True
         return readable
 
 
