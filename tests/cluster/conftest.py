@@ -5,21 +5,18 @@ from __future__ import annotations
 import os
 import subprocess
 import uuid
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-import yaml
 
-from tests.cluster import monitor_accounts
 from tests.cluster.operators import APPS, CORE, Fleet, Operator
 from tests.cluster.policy_pods import World, table
 from tests.support.cluster import Cluster, Object, account, until
 from tests.support.sharing import shared
 from understudy.api.base import GROUP
 from understudy.api.schema.printed_kinds import KINDS
-from understudy.kube.client import Client
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 NAME = "understudy"
@@ -156,31 +153,6 @@ def alone(cluster: Cluster, release: Release) -> Iterator[None]:
 
 
 @pytest.fixture
-def gate(cluster: Cluster, release: Release, namespace: str) -> Object:
-    """A gate, which is open for one instance."""
-    return cluster.create(monitor_accounts.gate(), namespace)
-
-
-@pytest.fixture
-def compromised_monitor(cluster: Cluster, namespace: str, gate: Object) -> str:
-    """The user name of the monitor of that gate, once the API server applies its rights and the admission policies."""
-    user = monitor_accounts.create(cluster, namespace, monitor_accounts.MINE)
-    monitor_accounts.until_refused(
-        lambda: cluster.patch(gate, {"metadata": {"labels": {"effective": "no"}}}, user=user, dry_run=True),
-        "of its gate only",
-        "the admission policy of gates to be enforced",
-    )
-    return user
-
-
-@pytest.fixture
-async def correct_monitor(cluster: Cluster, namespace: str, compromised_monitor: str) -> AsyncIterator[Client]:
-    """The API client of the same monitor, with a token of its account."""
-    async with Client(monitor_accounts.access(cluster, namespace, monitor_accounts.MINE)) as client:
-        yield client
-
-
-@pytest.fixture
 def fleet(alone: None, cluster: Cluster, namespace: str) -> Fleet:
     """A namespace without an operator."""
     return Fleet(cluster, namespace)
@@ -191,23 +163,6 @@ def operator(fleet: Fleet) -> Iterator[Operator]:
     """An operator for the namespace."""
     with Operator(fleet.cluster.kubeconfig, fleet.namespace) as found:
         yield found
-
-
-@pytest.fixture
-def author_policies(cluster: Cluster, release: Release, namespace: str, helm: str) -> Iterator[Callable[..., None]]:
-    """A function that creates the policies for authors of another release, with these values of `admission`, for the namespace."""
-    made: list[Object] = []
-
-    def create(**admission: object) -> None:
-        command = [helm, "template", f"for-{namespace}", str(REPOSITORY / "charts" / "understudy"), "--values", "-"]
-        command += ["--kube-version", "1.34", "--show-only", "templates/admission-authoring.yaml"]
-        values = yaml.safe_dump({"watchNamespaces": [namespace], "admission": admission})
-        rendered = subprocess.run(command, input=values, capture_output=True, text=True, timeout=60, check=True).stdout
-        made.extend(cluster.create(item) for item in yaml.safe_load_all(rendered))
-
-    yield create
-    for item in made:
-        cluster.delete(item)
 
 
 def _install(cluster: Cluster, helm: str, kubeconfig: Path, release: Release) -> Object:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from functools import partial
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -26,7 +24,6 @@ from tests.cluster.operators import (
     workload,
 )
 from tests.support.cluster import Object, until
-from tests.support.nested_values import PLACE, text
 from understudy.api import names
 
 # -- protection ---------------------------------------------------------------------------------------------------------
@@ -233,23 +230,3 @@ def test_one_bad_object_does_not_keep_another_from_being_protected(fleet: Fleet,
     fleet.create(workload("bad", failurePolicyRef={"name": "gone"}), policy("hot"), hot(), workload("good"))
     fleet.wait_built("good")
     until(lambda: len(fleet.instances("good")) == 2, "pod and standby of the good one")
-
-
-@pytest.mark.parametrize("levels", [150, 700, 1500])
-def test_an_object_with_deeply_nested_values_is_refused_and_all_others_are_followed(
-    levels: int, fleet: Fleet, operator: Operator, tmp_path: Path
-) -> None:
-    """The API server stores it: neither a schema nor CEL limits how deeply unknown content is nested."""
-    file = tmp_path / "deep.json"
-    file.write_text(text(policy("Restart", name="deep", yaml={"sequence": PLACE}), levels))
-    kubectl = partial(fleet.cluster.kubectl, "--namespace", fleet.namespace)  # Go decodes what Python does not
-    kubectl("create", "-f", str(file))
-    accepted = "jsonpath={.status.conditions[?(@.type=='Accepted')]['reason', 'message']}"
-    found = until(lambda: kubectl("get", "failurepolicy", "deep", "-o", accepted), "the condition Accepted")
-    assert found.startswith("SpecInvalid spec.monitoring.yaml: ")
-    fleet.create(policy("Restart"), workload())
-    fleet.wait_condition("RobotWorkload", "w", "Accepted", "Accepted", "True")
-    kubectl(
-        "patch", "failurepolicy", "deep", "--type=merge", "-p", '{"spec":{"monitoring":{"yaml":null,"xml":"<root/>"}}}'
-    )
-    until(lambda: kubectl("get", "failurepolicy", "deep", "-o", accepted).startswith("TreeInvalid"), "the correction")

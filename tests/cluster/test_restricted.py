@@ -47,7 +47,7 @@ def test_monitors_discovery_servers_and_agents_are_within_it(
 
 
 def test_an_earlier_template_that_violates_pod_security_is_reported_with_the_missing_fields(fleet: Fleet) -> None:
-    """Templates that are written later are refused: test_strangers_templates.py."""
+    """Templates that are written later are refused: strangers/test_templates.py."""
     fleet.create(policy("hot", "spare"), hot(), spare(replicas=1), workload())
     _restrict(fleet.cluster, fleet.namespace)
     with Operator(fleet.cluster.kubeconfig, fleet.namespace):

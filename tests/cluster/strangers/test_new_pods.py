@@ -1,4 +1,4 @@
-"""Which pods count as instances: a tenant who may create pods and ReplicaSets creates none that does."""
+"""Which pods count as instances: a neighbour who may create pods and ReplicaSets creates none that does."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ LABELS: dict[str, dict[str, str]] = {
 
 
 @pytest.fixture
-def tenant(cluster: Cluster, release: Release, namespace: str) -> str:
+def neighbour(cluster: Cluster, release: Release, namespace: str) -> str:
     """The name of a user who may create pods and ReplicaSets in the namespace."""
-    user = "tenant@example.com"
+    user = "neighbour@example.com"
     _may_create(cluster, namespace, user)
     until_refused(
         lambda: cluster.create(_pod("probe", LABELS["an-instance"]), namespace, user=user, dry_run=True),
@@ -60,13 +60,13 @@ def _replica_set(name: str, labels: dict[str, str]) -> Object:
 
 
 @pytest.mark.parametrize("labels", LABELS.values(), ids=LABELS)
-def test_a_tenant_creates_no_pod_that_counts_as_an_instance(
-    cluster: Cluster, namespace: str, tenant: str, labels: dict[str, str]
+def test_a_neighbour_creates_no_pod_that_counts_as_an_instance(
+    cluster: Cluster, namespace: str, neighbour: str, labels: dict[str, str]
 ) -> None:
     for owner in ("", MINE):
-        message = refusal(lambda owner=owner: cluster.create(_pod(ACTIVE, labels, owner), namespace, user=tenant))  # type: ignore[misc]
+        message = refusal(lambda owner=owner: cluster.create(_pod(ACTIVE, labels, owner), namespace, user=neighbour))  # type: ignore[misc]
         named = ", ".join(key for key in labels if key not in ("app", names.COMPONENT))
-        assert f"{tenant} may not create pod {namespace}/{ACTIVE} with {named}:" in message
+        assert f"{neighbour} may not create pod {namespace}/{ACTIVE} with {named}:" in message
 
 
 @pytest.mark.parametrize(
@@ -75,10 +75,10 @@ def test_a_tenant_creates_no_pod_that_counts_as_an_instance(
     ids=[n for n in LABELS if n != "an-instance"],
 )
 @pytest.mark.parametrize("name", [MINE, "tenants"])
-def test_a_replica_set_of_a_tenant_creates_none_either(
-    cluster: Cluster, namespace: str, tenant: str, labels: dict[str, str], name: str
+def test_a_replica_set_of_a_neighbour_creates_none_either(
+    cluster: Cluster, namespace: str, neighbour: str, labels: dict[str, str], name: str
 ) -> None:
-    made = cluster.create(_replica_set(name, labels), namespace, user=tenant)
+    made = cluster.create(_replica_set(name, labels), namespace, user=neighbour)
 
     def refused() -> str:
         live = cluster.get("apps/v1", "ReplicaSet", made["metadata"]["name"], namespace)
@@ -89,8 +89,8 @@ def test_a_replica_set_of_a_tenant_creates_none_either(
     assert not cluster.list("v1", "Pod", namespace)
 
 
-def test_a_replica_set_with_another_name_creates_no_instance(cluster: Cluster, namespace: str, tenant: str) -> None:
-    cluster.create(_replica_set(OTHER, LABELS["an-instance"]), namespace, user=tenant)
+def test_a_replica_set_with_another_name_creates_no_instance(cluster: Cluster, namespace: str, neighbour: str) -> None:
+    cluster.create(_replica_set(OTHER, LABELS["an-instance"]), namespace, user=neighbour)
     until(
         lambda: any(
             "may not create pod" in event["message"]
@@ -102,13 +102,13 @@ def test_a_replica_set_with_another_name_creates_no_instance(cluster: Cluster, n
     assert not cluster.list("v1", "Pod", namespace)
 
 
-def test_a_tenant_creates_other_pods(cluster: Cluster, namespace: str, tenant: str) -> None:
-    cluster.create(_pod("database", {"app": "database"}), namespace, user=tenant)
-    cluster.create(_replica_set("tenants", {"app": "nav"}), namespace, user=tenant)
+def test_a_neighbour_creates_other_pods(cluster: Cluster, namespace: str, neighbour: str) -> None:
+    cluster.create(_pod("database", {"app": "database"}), namespace, user=neighbour)
+    cluster.create(_replica_set("tenants", {"app": "nav"}), namespace, user=neighbour)
     until(lambda: len(cluster.list("v1", "Pod", namespace)) == 2, "the pod of the ReplicaSet")
 
 
-def test_the_replica_set_of_a_workload_creates_its_instances(cluster: Cluster, namespace: str, tenant: str) -> None:
+def test_the_replica_set_of_a_workload_creates_its_instances(cluster: Cluster, namespace: str, neighbour: str) -> None:
     labels = {names.WORKLOAD: MINE, names.SOURCE: "workload", names.COMPONENT: "instance", names.TEMPLATE_HASH: "1"}
     cluster.create(_replica_set(MINE, labels), namespace)
     (pod,) = until(lambda: cluster.list("v1", "Pod", namespace), "its pod")
@@ -117,7 +117,7 @@ def test_the_replica_set_of_a_workload_creates_its_instances(cluster: Cluster, n
 
 @pytest.mark.parametrize("name", [names.monitor(MINE), names.discovery(MINE)])
 def test_a_deployment_of_the_operator_creates_monitors_and_discovery_servers(
-    cluster: Cluster, namespace: str, release: Release, tenant: str, name: str
+    cluster: Cluster, namespace: str, release: Release, neighbour: str, name: str
 ) -> None:
     labels = {names.COMPONENT: name.rpartition("-")[2], names.MONITORED: MINE}
     deployment = plan.deployment(name, labels, {}, NOWHERE)
@@ -127,14 +127,14 @@ def test_a_deployment_of_the_operator_creates_monitors_and_discovery_servers(
 
 
 def test_the_operator_creates_instances_and_unclaimed_pods(
-    cluster: Cluster, namespace: str, release: Release, tenant: str
+    cluster: Cluster, namespace: str, release: Release, neighbour: str
 ) -> None:
     operator = account(release.namespace, release.operator)
     for number, labels in enumerate(LABELS.values()):
         cluster.create(_pod(f"pod-{number}", labels), namespace, user=operator)
 
 
-def test_the_account_of_a_monitor_creates_no_instance(cluster: Cluster, namespace: str, tenant: str) -> None:
+def test_the_account_of_a_monitor_creates_no_instance(cluster: Cluster, namespace: str, neighbour: str) -> None:
     monitor = account(namespace, names.monitor_account(MINE))
     _may_create(cluster, namespace, monitor)
 

@@ -36,6 +36,18 @@ def workload(world: World) -> Iterator[World]:
     _label(world, {pod: dict.fromkeys(labels) for pod, labels in LABELS.items()})
 
 
+@pytest.fixture
+def powerless_pod(workload: World) -> str:
+    """A pod of another namespace, without rights and without labels of Understudy."""
+    return "dashboard"
+
+
+@pytest.fixture
+def compromised_standby(workload: World) -> str:
+    """A standby whose application others control: it sends what it likes, from the network of its pod."""
+    return "standby"
+
+
 def _label(world: World, wanted: dict[str, dict[str, str]] | dict[str, dict[str, str | None]]) -> None:
     for pod, labels in wanted.items():
         live = {"apiVersion": "v1", "kind": "Pod", "metadata": world.pods[pod]["metadata"]}
@@ -59,6 +71,32 @@ def _commands(target: str) -> list[Flow]:
 
 def _other_traffic(target: str) -> list[Flow]:
     return flows([f"{one} -> {target} {port}" for one in ("active", "standby") for port in ("udp/1000", "tcp/80")])
+
+
+ALL_PORTS = [f"{protocol}/{port}" for protocol in ("udp", "tcp") for port in (80, 1000, 7950, 8149, 8950, 9108, 11811)]
+"""Gated ports, those of agents, monitors, metrics and discovery servers, and any others."""
+
+
+def test_a_pod_without_rights_reaches_no_process_of_a_workload(workload: World, powerless_pod: str) -> None:
+    _enforce(workload, Reach())
+    targets = ("active", "standby", "camera")
+    workload.expect(ROBOT, flows([f"{powerless_pod} -> {target} {port}" for target in targets for port in ALL_PORTS]))
+
+
+def test_a_compromised_standby_commands_no_robot_and_no_agent_and_sends_no_test_packets(
+    workload: World, compromised_standby: str
+) -> None:
+    _enforce(workload, Reach())
+    gated = [
+        f"{compromised_standby} -> {target} udp/{port}" for target in ("robot", "camera") for port in (7950, 8000, 8149)
+    ]
+    outside = [f"{compromised_standby} -> dashboard {port}" for port in ALL_PORTS if port != "udp/53"]
+    workload.expect(
+        [*ROBOT, *flows([f"{compromised_standby} -> robot udp/1000", f"{compromised_standby} -> camera udp/11811"])],
+        flows(
+            [*gated, *outside, f"{compromised_standby} -> active tcp/8950", f"{compromised_standby} -> camera tcp/9108"]
+        ),
+    )
 
 
 def test_only_the_active_instance_commands_and_only_within_the_namespace(workload: World) -> None:

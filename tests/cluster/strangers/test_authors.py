@@ -10,11 +10,10 @@ import pytest
 from tests.cluster.conftest import Release
 from tests.cluster.monitor_accounts import allow, refusal, until_refused
 from tests.cluster.operators import hot, policy, spare, template, workload
+from tests.cluster.strangers.conftest import PODS, refers, user_with
 from tests.support.cluster import Cluster, Object, Refused, account, until
 from understudy.api import names
 
-KINDS: Object = {"apiGroups": [names.GROUP], "resources": ["*"], "verbs": ["*"]}
-PODS: Object = {"apiGroups": [""], "resources": ["pods"], "verbs": ["create"]}
 NETWORKS: Object = {"apiGroups": ["networking.k8s.io"], "resources": ["networkpolicies"], "verbs": ["create"]}
 DEPLOYMENT: Object = {
     "apiGroups": ["apps"],
@@ -34,10 +33,6 @@ def _template(**spec: object) -> Object:
     return found
 
 
-def _refers(name: str = "nav2", kind: str = "Deployment", **spec: object) -> Object:
-    return workload(workloadRef={"kind": kind, "name": name}, **spec)
-
-
 def _keeps(claim: str) -> Object:
     found = policy("hot")
     found["spec"]["state"] = {"storage": {"claimName": claim}}
@@ -51,8 +46,8 @@ ATTACKS: dict[str, tuple[Object, str]] = {
     "service-account": (workload(template=_template(serviceAccountName="admin")), "spec.template"),
     "secret": (workload(template=_template(volumes=[SECRET])), "spec.template"),
     "pool": (spare(), "spec.template"),
-    "deployment": (_refers("database"), "spec.workloadRef"),
-    "stateful-set": (_refers("database", "StatefulSet"), "spec.workloadRef"),
+    "deployment": (refers("database"), "spec.workloadRef"),
+    "stateful-set": (refers("database", "StatefulSet"), "spec.workloadRef"),
     "storage": (_keeps("accounts"), "spec.state.storage.claimName"),
 }
 """What a tenant creates, with the field that is refused."""
@@ -60,14 +55,14 @@ ATTACKS: dict[str, tuple[Object, str]] = {
 CHANGES: dict[str, tuple[Object, Object, str]] = {
     "template": (workload(), {"template": _template(serviceAccountName="admin")}, "spec.template"),
     "image-beside-a-template": (workload(), {"monitor": {"image": IMAGE}}, "spec.monitor.image"),
-    "image-beside-a-reference": (_refers(), {"monitor": {"image": IMAGE}}, "spec.monitor.image"),
-    "other-image": (_refers(monitor={"image": "a"}), {"monitor": {"image": IMAGE}}, "spec.monitor.image"),
+    "image-beside-a-reference": (refers(), {"monitor": {"image": IMAGE}}, "spec.monitor.image"),
+    "other-image": (refers(monitor={"image": "a"}), {"monitor": {"image": IMAGE}}, "spec.monitor.image"),
     "robots": (workload(), {"gate": ROBOTS}, "spec.gate.robots"),
     "more-robots": (workload(gate=ROBOTS), {"gate": {"robots": ["10.7.0.0/24", "10.8.0.0/16"]}}, "spec.gate.robots"),
     "peers": (workload(), {"gate": PEERS}, "spec.gate.peers"),
     "other-peers": (workload(gate=PEERS), {"gate": {"peers": [{"podSelector": {}}]}}, "spec.gate.peers"),
-    "reference": (_refers(), {"workloadRef": {"name": "database"}}, "spec.workloadRef"),
-    "kind-of-reference": (_refers(), {"workloadRef": {"kind": "StatefulSet"}}, "spec.workloadRef"),
+    "reference": (refers(), {"workloadRef": {"name": "database"}}, "spec.workloadRef"),
+    "kind-of-reference": (refers(), {"workloadRef": {"kind": "StatefulSet"}}, "spec.workloadRef"),
     "pool": (spare(), {"template": _template(serviceAccountName="admin")}, "spec.template"),
     "storage": (policy("hot"), {"state": {"storage": {"claimName": "accounts"}}}, "spec.state.storage.claimName"),
     "other-storage": (_keeps("mine"), {"state": {"storage": {"claimName": "yours"}}}, "spec.state.storage.claimName"),
@@ -79,7 +74,7 @@ HARMLESS: dict[str, tuple[Object, Object]] = {
     "request": (workload(), {"metadata": {"annotations": {names.SWITCHOVER: "now"}}}),
     "finalizer": (workload(), {"metadata": {"finalizers": ["example.com/stay"]}}),
     "pause": (workload(gate=ROBOTS), {"spec": {"pause": {"reason": "cleaning", "owner": "me"}}}),
-    "reference-stays": (_refers(monitor={"image": IMAGE}), {"spec": {"poolPriority": 3}}),
+    "reference-stays": (refers(monitor={"image": IMAGE}), {"spec": {"poolPriority": 3}}),
     "default-image": (workload(monitor={"image": IMAGE}), {"spec": {"monitor": {"image": None}}}),
     "fewer-robots": (workload(gate={"robots": ["10.7.0.0/24", "10.8.0.0/24"]}), {"spec": {"gate": ROBOTS}}),
     "no-peers": (workload(gate=PEERS), {"spec": {"gate": {"peers": []}}}),
@@ -93,33 +88,10 @@ RIGHTS: dict[str, tuple[Object, Object]] = {
     "template": (workload(), PODS),
     "pool": (spare(), PODS),
     "storage": (_keeps("mine"), PODS),
-    "deployment": (_refers(), DEPLOYMENT),
-    "stateful-set": (_refers(kind="StatefulSet"), STATEFUL_SET),
+    "deployment": (refers(), DEPLOYMENT),
+    "stateful-set": (refers(kind="StatefulSet"), STATEFUL_SET),
 }
 """An object, and the right that its author needs besides those on the kinds."""
-
-
-def _user(cluster: Cluster, namespace: str, name: str, *rules: Object) -> str:
-    """Return the name of a user with rights on the three kinds, and those of the rules."""
-    allow(cluster, namespace, name, KINDS, *rules)
-    until_refused(
-        lambda: cluster.create(_refers("no-such"), namespace, user=name, dry_run=True),
-        "may not set spec.workloadRef",
-        "the admission policy of authors to be enforced",
-    )
-    return name
-
-
-@pytest.fixture
-def tenant(cluster: Cluster, release: Release, namespace: str) -> str:
-    """The name of a user with rights on the three kinds only."""
-    return _user(cluster, namespace, "tenant@example.com")
-
-
-@pytest.fixture
-def author(cluster: Cluster, release: Release, namespace: str) -> str:
-    """The name of a user who may create pods, and has rights on the three kinds."""
-    return _user(cluster, namespace, "author@example.com", PODS)
 
 
 @pytest.mark.parametrize(("item", "field"), ATTACKS.values(), ids=ATTACKS)
@@ -171,7 +143,7 @@ def test_a_tenant_creates_what_needs_no_rights_of_the_operator(cluster: Cluster,
 def test_an_author_with_the_right_creates_it(
     cluster: Cluster, release: Release, namespace: str, item: Object, rule: Object
 ) -> None:
-    author = _user(cluster, namespace, "author@example.com", rule)
+    author = user_with(cluster, namespace, "author@example.com", rule)
     cluster.create(item, namespace, user=author)
 
 
@@ -179,14 +151,14 @@ def test_an_author_who_creates_pods_chooses_the_monitor_s_image_and_no_controlle
     cluster: Cluster, namespace: str, author: str
 ) -> None:
     cluster.create(workload(monitor={"image": IMAGE}), namespace, user=author)
-    assert "may not set spec.workloadRef" in refusal(lambda: cluster.create(_refers(), namespace, user=author))
+    assert "may not set spec.workloadRef" in refusal(lambda: cluster.create(refers(), namespace, user=author))
 
 
 def test_an_author_who_creates_networkpolicies_chooses_robots_and_peers(
     cluster: Cluster, release: Release, namespace: str
 ) -> None:
-    author = _user(cluster, namespace, "author@example.com", NETWORKS, DEPLOYMENT)
-    cluster.create(_refers(gate=ROBOTS | PEERS), namespace, user=author)
+    author = user_with(cluster, namespace, "author@example.com", NETWORKS, DEPLOYMENT)
+    cluster.create(refers(gate=ROBOTS | PEERS), namespace, user=author)
 
 
 def test_whoever_may_edit_the_namespace_may_write_all_of_it(cluster: Cluster, release: Release, namespace: str) -> None:
@@ -203,7 +175,7 @@ def test_whoever_may_edit_the_namespace_may_write_all_of_it(cluster: Cluster, re
     )
     items = (
         workload(monitor={"image": IMAGE}, gate=ROBOTS),
-        {**_refers(), "metadata": {"name": "referring"}},
+        {**refers(), "metadata": {"name": "referring"}},
         _keeps("mine"),
         spare(),
     )
@@ -242,9 +214,9 @@ def test_the_account_of_helm_test_asks_whether_a_workload_is_accepted(
     cluster: Cluster, release: Release, tenant: str
 ) -> None:
     user = account(release.namespace, f"{release.name}-test-understudy-monitor")
-    cluster.create(_refers("verified"), release.namespace, user=user, dry_run=True)
+    cluster.create(refers("verified"), release.namespace, user=user, dry_run=True)
     assert "may not set spec.workloadRef" in refusal(
-        lambda: cluster.create(_refers(), release.namespace, user=user, dry_run=True)
+        lambda: cluster.create(refers(), release.namespace, user=user, dry_run=True)
     )
 
 

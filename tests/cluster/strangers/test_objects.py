@@ -1,9 +1,15 @@
-"""Trees whose check takes long do not cost the operator its lease."""
+"""Objects of tenants that are made to stop the operator: deeply nested values, and trees whose check takes long."""
 
 from __future__ import annotations
 
-from tests.cluster.operators import Fleet, custom, leader, policy, process
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from tests.cluster.operators import Fleet, Operator, custom, leader, policy, process, workload
 from tests.support.cluster import Object, until
+from tests.support.nested_values import PLACE, text
 
 LEAVES = "".join(f"        node('/{'a' * 40}{index}')\n" for index in range(510))
 
@@ -42,3 +48,23 @@ def test_costly_trees_do_not_cost_the_operator_its_lease(fleet: Fleet) -> None:
         lease = fleet.get("Lease", "understudy-operator", "coordination.k8s.io/v1")["spec"]
         assert (lease["holderIdentity"], lease.get("leaseTransitions") or 0) == ("one", 0)
         assert one.poll() is None
+
+
+@pytest.mark.parametrize("levels", [150, 700, 1500])
+def test_an_object_with_deeply_nested_values_is_refused_and_all_others_are_followed(
+    levels: int, fleet: Fleet, operator: Operator, tmp_path: Path
+) -> None:
+    """The API server stores it: neither a schema nor CEL limits how deeply unknown content is nested."""
+    file = tmp_path / "deep.json"
+    file.write_text(text(policy("Restart", name="deep", yaml={"sequence": PLACE}), levels))
+    kubectl = partial(fleet.cluster.kubectl, "--namespace", fleet.namespace)  # Go decodes what Python does not
+    kubectl("create", "-f", str(file))
+    accepted = "jsonpath={.status.conditions[?(@.type=='Accepted')]['reason', 'message']}"
+    found = until(lambda: kubectl("get", "failurepolicy", "deep", "-o", accepted), "the condition Accepted")
+    assert found.startswith("SpecInvalid spec.monitoring.yaml: ")
+    fleet.create(policy("Restart"), workload())
+    fleet.wait_condition("RobotWorkload", "w", "Accepted", "Accepted", "True")
+    kubectl(
+        "patch", "failurepolicy", "deep", "--type=merge", "-p", '{"spec":{"monitoring":{"yaml":null,"xml":"<root/>"}}}'
+    )
+    until(lambda: kubectl("get", "failurepolicy", "deep", "-o", accepted).startswith("TreeInvalid"), "the correction")
