@@ -17,6 +17,7 @@ from understudy_demo.recovery import Recovered
 from understudy_demo.robotview import Command
 
 from bench.chaos.plan import BY_NAME, STANDBY, Fault
+from understudy.failover.limits import backoff
 
 ENFORCEMENT = 0.05
 """Seconds after a commit in which commands of a fenced instance may still arrive."""
@@ -103,6 +104,9 @@ VERIFY_WITHIN = {
     "Restart": 60.0,
 }
 """Seconds after which the next strategy is tried, by the policies of the quickstart. Each strategy that was tried may take so long."""
+
+HEALTHY_DELAY = 2.0 + 0.5
+"""Seconds after which a recovery counts as over (`limits.healthyDelay`), and a margin. An instance that fails earlier was not recovered."""
 
 
 @dataclass(frozen=True)
@@ -537,8 +541,22 @@ def gaps(
         allowed = seen.timeout + SWITCH + sum(_allowed(recovery) for recovery in found)
         if given_up and _was_last(seen, injected, a, b):
             allowed += VERIFY_WITHIN["Restart"]
+        if not found and _has_just_recovered(seen, a):
+            allowed += backoff.FIRST
         strategy = max(found, key=_allowed).strategy if found else ""
         yield a.received, b.received, b.received - a.received - explained, strategy, allowed
+
+
+def _has_just_recovered(seen: Seen, last: Command) -> bool:
+    """Return whether the last strategy of a policy activated an instance so soon before a silence that the monitor waits before it tries
+    the first one again."""
+    return any(
+        one.strategy == "Restart"
+        and one.new == last.source
+        and 0.0 <= last.received - one.moments.get("routed", math.inf) <= HEALTHY_DELAY
+        for one in seen.recoveries
+        if one.result == "Recovered"
+    )
 
 
 def _was_last(seen: Seen, injected: Sequence[Injected], last: Command, first: Command) -> bool:

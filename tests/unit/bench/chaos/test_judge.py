@@ -259,6 +259,20 @@ def test_a_gap_may_take_the_time_of_the_strategies_that_were_tried() -> None:
     assert whats(judged(commands, KILLED, commits=commits)) == ["gap"], "nobody recovered it"
 
 
+@pytest.mark.parametrize(
+    ("strategy", "drove", "expected"),
+    [("Restart", 0.75, []), ("Restart", 3.5, ["gap"]), ("Fallback/Executing", 0.75, ["gap"])],
+)
+def test_an_instance_that_fails_as_soon_as_the_last_strategy_activated_it_is_waited_for(
+    strategy: str, drove: float, expected: list[str]
+) -> None:
+    commands = log(drive("a", 1, 10), drive("b", 12, 12 + drove), drive("b", 12 + drove + 2.65, 20))
+    commits = [Commit(0.0, 1, ("a",)), Commit(12.0, 2, ("b",))]
+    recovered = recovery(10.5, 12.0, strategy, failed=["Restart"])
+    frozen = fault("freeze", 12 + drove, 12 + drove + 2.65, number=2)
+    assert whats(judged(commands, KILLED, frozen, commits=commits, recoveries=[recovered])) == expected
+
+
 def test_time_without_a_monitor_or_an_api_server_is_not_counted() -> None:
     commands = log(drive("a", 1, 10), drive("b", 15, 20))
     commits = [Commit(0.0, 1, ("a",)), Commit(15.0, 2, ("b",))]
