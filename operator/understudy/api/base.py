@@ -14,7 +14,7 @@ from understudy.api.durations import DURATION_PATTERN as DURATION_PATTERN
 from understudy.api.durations import LONGEST_TEXT as LONGEST_TEXT
 from understudy.api.durations import seconds as seconds
 from understudy.api.names import GROUP as GROUP
-from understudy.api.nesting import DEEPEST, is_too_deep
+from understudy.api.nesting import DEEPEST, MOST_VALUES, has_too_many, is_too_deep
 from understudy.api.plain_text import one_line
 from understudy.api.ros_names import ROS_NAME_MESSAGE, ROS_NAME_PATTERN
 
@@ -102,6 +102,10 @@ def fraction(percentage: str) -> float:
 
 
 def _bounded(value: dict[str, Any]) -> dict[str, Any]:
+    if has_too_many(value):
+        raise PydanticCustomError(
+            "size", "has more than {most} values in its mappings and lists; use fewer", {"most": MOST_VALUES}
+        )
     if is_too_deep(value):
         raise PydanticCustomError(
             "nesting",
@@ -112,7 +116,7 @@ def _bounded(value: dict[str, Any]) -> dict[str, Any]:
 
 
 BOUNDED = AfterValidator(_bounded)
-"""The bound on the depth of a field that keeps unknown content."""
+"""The bounds on the depth and the number of values of a field that keeps unknown content."""
 
 UnknownContent = Annotated[dict[str, Any], BOUNDED]
 """A field that keeps unknown content."""

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from tests.support.nested_values import nested
 from understudy.api.kinds.failure_policy import FailurePolicySpec
-from understudy.api.nesting import DEEPEST
+from understudy.api.nesting import DEEPEST, MOST_VALUES
 
 
 def spec(levels: int) -> dict[str, Any]:
@@ -29,3 +29,23 @@ def test_a_field_above_the_limit_is_refused() -> None:
     (error,) = caught.value.errors()
     assert error["loc"] == ("monitoring", "yaml")
     assert str(DEEPEST) in error["msg"]
+
+
+def wide(values: int) -> dict[str, Any]:
+    """A spec whose tree has so many values in it."""
+    found = spec(2)
+    found["monitoring"]["yaml"] = {"parallel": [0] * (values - 1)}
+    return found
+
+
+@pytest.mark.parametrize("of", [0, [], {}, [0]])
+def test_a_field_with_too_many_values_is_refused(of: Any) -> None:
+    """The functions that visit all values of a field would keep the event loop busy."""
+    assert FailurePolicySpec.model_validate(wide(MOST_VALUES)).monitoring.yaml is not None
+    found = wide(MOST_VALUES)
+    found["monitoring"]["yaml"]["more"] = [of]
+    with pytest.raises(ValidationError) as caught:
+        FailurePolicySpec.model_validate(found)
+    (error,) = caught.value.errors()
+    assert error["loc"] == ("monitoring", "yaml")
+    assert str(MOST_VALUES) in error["msg"]

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.unit.controller.world import workload
+from understudy.api.nesting import MOST_VALUES
 from understudy.controller.reconcile.interning import REMEMBERED_SECONDS, Interner
 from understudy.controller.reconcile.object_store import Store
 from understudy.kube.client import WORKLOADS, Object
@@ -122,3 +123,11 @@ def test_an_idle_store_forgets_the_parts_that_it_compared() -> None:
     assert one is not None
     assert two is not None
     assert one["spec"]["template"] is not two["spec"]["template"]
+
+
+def test_the_parts_of_a_very_large_object_are_not_searched_for() -> None:
+    """A search for 500,000 of them would keep the event loop busy for half a second."""
+    sharing = Interner(clock=Clock())
+    found = sharing.of({"metadata": {"name": "a"}, "spec": {str(i): i for i in range(MOST_VALUES + 1)}}, None)
+    assert len(found["spec"]) == MOST_VALUES + 1
+    assert not sharing._known

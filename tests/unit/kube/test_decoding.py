@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import gc
 import json
+from collections.abc import Callable
 
 import pytest
 
 from tests.support.nested_values import nested
 from understudy.api.nesting import DEEPEST_OBJECT
-from understudy.kube.decoding import decode, decode_each
+from understudy.kube.decoding import LONG, bounded, decode, decode_each
 
 
 @pytest.mark.parametrize(
@@ -41,3 +43,22 @@ def test_each_value_is_decoded_on_its_own() -> None:
 def test_a_malformed_text_is_a_value_error(text: str) -> None:
     with pytest.raises(ValueError, match="line 1"):
         decode(text)
+
+
+@pytest.mark.parametrize("read", [decode, bounded, lambda text: list(decode_each(text))])
+def test_no_garbage_is_collected_while_a_long_text_is_decoded(read: Callable[[str], object]) -> None:
+    """A collection visits all mappings and lists so far, again and again, and would keep the event loop busy."""
+    text, begun = "[" + ",".join(["[0]"] * LONG) + "]", list[str]()
+
+    def note(phase: str, info: dict[str, int]) -> None:
+        begun.append(phase)
+
+    gc.callbacks.append(note)
+    try:
+        found = read(text)
+        during = len(begun)
+    finally:
+        gc.callbacks.remove(note)
+    assert found
+    assert gc.isenabled()
+    assert during <= 2, "one collection after it, begun and ended"

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
+from understudy.api.nesting import has_too_many
 from understudy.kube.client import Object
 
 PARTS = frozenset({"spec", "rules", "subjects", "roleRef", "data", "status"})
@@ -53,7 +54,11 @@ class Interner:
         return {key: self._part(value, old.get(key)) if key in parts else value for key, value in item.items()}
 
     def _part(self, value: Any, older: Any) -> Any:
-        return older if older is not None and older == value else self._same(value)
+        if older is not None and older == value:
+            return older
+        # No object that is accepted has so many, and to look for each of them would keep the event loop busy.
+        large = isinstance(value, dict | list) and has_too_many(value)
+        return value if large else self._same(value)
 
     def _same(self, value: Any) -> Any:
         key: tuple[Any, ...]
