@@ -53,7 +53,7 @@ from understudy.monitor.report.diagnostics_publisher import DiagnosticsPublisher
 from understudy.monitor.report.live_tree_pages import LiveTreePages
 from understudy.monitor.report.recording_archive import RecordingArchive
 from understudy.monitor.report.status_writer import StatusWriter
-from understudy.process import cpu_scheduling, json_logs
+from understudy.process import cpu_scheduling, json_logs, loop_turns
 from understudy.process.http_pages import Page, serve
 from understudy.state.state_store import StateStore
 
@@ -76,7 +76,7 @@ def main(argv: list[str]) -> int:
     state.mkdir(parents=True, exist_ok=True)
     cpu_scheduling.ask_for_short_slices()
     try:
-        asyncio.run(_run(workload, namespace, state))
+        loop_turns.run(_run(workload, namespace, state), monitor_metrics.LONG_TURNS)
     except* (Deaf, PodDeleted) as group:
         _logger.error("%s", group.exceptions[0])
         code = os.EX_TEMPFAIL
@@ -95,7 +95,7 @@ async def _run(workload: str, namespace: str, state: Path) -> None:
             await running
         _logger.info("ended")
     finally:
-        # asyncio.run waits for the threads of the default executor. One that writes to a volume that hangs does not end.
+        # The runner waits for the threads of the default executor. One that writes to a volume that hangs does not end.
         loop.set_default_executor(ThreadPoolExecutor())
 
 

@@ -7,6 +7,7 @@ import contextlib
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector
 
 from understudy.kube import api_traffic
+from understudy.process import loop_turns
 
 REGISTRY = CollectorRegistry()
 ProcessCollector(registry=REGISTRY)
@@ -72,6 +73,8 @@ RESYNCED = Gauge(
 )
 
 _REQUESTS, _HEARD = api_traffic.series(REGISTRY)
+_BUSY = loop_turns.series(REGISTRY)
+LONG_TURNS = loop_turns.reporter(_BUSY)
 TRAFFIC = api_traffic.Traffic(_REQUESTS, _HEARD)
 
 

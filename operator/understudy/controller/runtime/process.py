@@ -38,7 +38,7 @@ from understudy.kube.client import SERVICE_ACCOUNT, Access, Client, Object
 from understudy.kube.events import Recorder
 from understudy.kube.kubeconfig import KubeconfigError, default_access, load_access
 from understudy.kube.leader_election import LeadershipLost, Lease, Timing
-from understudy.process import http_pages, json_logs
+from understudy.process import http_pages, json_logs, loop_turns
 from understudy.process.tree_checker import TreeChecker
 
 _logger = logging.getLogger(__name__)
@@ -310,7 +310,7 @@ def main(argv: Sequence[str]) -> int:
     except KubeconfigError as error:
         print(f"understudy operator: {error}", file=sys.stderr)
         return 1
-    status = asyncio.run(run(access, chosen))
+    status = loop_turns.run(run(access, chosen), operator_metrics.LONG_TURNS)
     sys.stderr.flush()
     if status == LOST:
         # A new process, so that nothing of the leader is left. The kubelet would wait for longer after each end.

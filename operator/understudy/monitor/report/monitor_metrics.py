@@ -32,6 +32,7 @@ from understudy.monitor.notices import (
     StateKept,
     StatusChanged,
 )
+from understudy.process import loop_turns
 from understudy.trees.core.observations import TopicRecord
 
 _WRITES = (0.002, 0.005, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 0.3, 0.5, 1, 2, 5)
@@ -101,6 +102,8 @@ _KEPT_AT = Gauge(
 )
 _KEPT_BYTES = Gauge("understudy_kept_bytes", "Size in bytes of the state that would be restored now.", ["name"])
 _REQUESTS, _HEARD = api_traffic.series(REGISTRY)
+_BUSY = loop_turns.series(REGISTRY)
+LONG_TURNS = loop_turns.reporter(_BUSY)
 TRAFFIC = api_traffic.Traffic(_REQUESTS, _HEARD)
 
 

@@ -1,0 +1,78 @@
+"""Measures how long an event loop is busy between two looks for what has arrived.
+
+A turn of the loop runs everything that is due, and nothing else is served meanwhile. It costs four readings of clocks per
+turn, and no wakeups. The thread's own processor time separates work from waiting for a processor, which a busy node causes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import selectors
+import time
+from collections.abc import Callable, Coroutine
+from typing import Any, TypeVar
+
+from prometheus_client import CollectorRegistry, Histogram
+
+_logger = logging.getLogger(__name__)
+
+LONG = 0.05
+"""Seconds from which on a turn is counted. Nearly all take less than 10 ms."""
+
+REPORTED = 0.1
+"""Seconds of processor time from which on a turn is logged, so that its cause can be found next to it in the log."""
+
+T = TypeVar("T")
+
+Report = Callable[[float, float], None]
+"""Called with the seconds that a long turn took, and its processor time in seconds."""
+
+
+class TurnTimer(selectors.DefaultSelector):
+    """The selector of an event loop, which measures the time between its calls."""
+
+    def __init__(self, report: Report) -> None:
+        super().__init__()
+        self._report = report
+        self._began: float | None = None
+        self._used = 0.0
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        """Wait for events, as every selector does."""
+        if self._began is not None and (took := time.monotonic() - self._began) >= LONG:
+            self._report(took, time.thread_time() - self._used)
+        found = super().select(timeout)
+        self._began, self._used = time.monotonic(), time.thread_time()
+        return found
+
+
+def run(main: Coroutine[Any, Any, T], report: Report) -> T:
+    """Run a coroutine as :func:`asyncio.run` does, and report the long turns of its event loop."""
+    with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(TurnTimer(report))) as runner:
+        return runner.run(main)
+
+
+def series(registry: CollectorRegistry) -> Histogram:
+    """Create the metric of one process."""
+    return Histogram(
+        "understudy_event_loop_busy_seconds",
+        "Turns of the event loop of at least 50 ms, in which the process serves nothing else; time is elapsed, or processor for the "
+        "processor time that they used, which is less if the node is busy.",
+        ["time"],
+        registry=registry,
+        buckets=(0.05, 0.1, 0.2, 0.5, 1, 2, 5),
+    )
+
+
+def reporter(histogram: Histogram) -> Report:
+    """Return what counts the long turns of a process in its metric, and logs those of much processor time."""
+    elapsed, processor = histogram.labels(time="elapsed"), histogram.labels(time="processor")
+
+    def report(took: float, used: float) -> None:
+        elapsed.observe(took)
+        processor.observe(used)
+        if used >= REPORTED:
+            _logger.info("the event loop was busy for %.3f s, of which %.3f s were processor time", took, used)
+
+    return report

@@ -1,0 +1,68 @@
+"""Long turns of an event loop are counted, and work is distinguished from waiting for a processor."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+
+import pytest
+from prometheus_client import CollectorRegistry
+
+from understudy.process import loop_turns
+from understudy.process.loop_turns import LONG, REPORTED
+
+
+def worked(seconds: float) -> None:
+    end = time.thread_time() + seconds
+    while time.thread_time() < end:
+        pass
+
+
+def test_a_turn_that_works_is_reported_with_its_processor_time() -> None:
+    reported: list[tuple[float, float]] = []
+
+    async def main() -> str:
+        await asyncio.sleep(0)
+        worked(LONG + 0.02)
+        await asyncio.sleep(0)
+        return "result"
+
+    assert loop_turns.run(main(), lambda took, used: reported.append((took, used))) == "result"
+    assert max(used for _, used in reported) >= LONG
+
+
+def test_time_in_which_the_process_does_not_run_is_no_work() -> None:
+    reported: list[tuple[float, float]] = []
+
+    async def main() -> None:
+        await asyncio.sleep(0)
+        time.sleep(LONG + 0.05)  # noqa: ASYNC251
+        await asyncio.sleep(0)
+
+    loop_turns.run(main(), lambda took, used: reported.append((took, used)))
+    took, used = max(reported)
+    assert took >= LONG + 0.05
+    assert used < LONG
+
+
+def test_an_idle_loop_is_not_busy() -> None:
+    reported: list[tuple[float, float]] = []
+    loop_turns.run(asyncio.sleep(4 * LONG), lambda took, used: reported.append((took, used)))
+    assert all(used < LONG for _, used in reported)
+
+
+def test_the_metric_has_both_times_and_a_long_turn_is_logged(caplog: pytest.LogCaptureFixture) -> None:
+    registry = CollectorRegistry()
+    report = loop_turns.reporter(loop_turns.series(registry))
+    with caplog.at_level(logging.INFO):
+        report(0.3, 0.06)
+        assert not caplog.records
+        report(0.3, REPORTED)
+    assert len(caplog.records) == 1
+
+    def count(time: str, le: str) -> float | None:
+        return registry.get_sample_value("understudy_event_loop_busy_seconds_bucket", {"time": time, "le": le})
+
+    assert [count("elapsed", le) for le in ("0.1", "0.2", "0.5")] == [0, 0, 2]
+    assert [count("processor", le) for le in ("0.05", "0.1", "0.2")] == [0, 2, 2]
