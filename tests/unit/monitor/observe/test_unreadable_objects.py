@@ -51,3 +51,49 @@ def test_settings_that_cannot_be_read_leave_the_last_ones_in_force(view: Cluster
     settings = view.settings
     change(view.settings_maps, {"metadata": {"name": names.settings("w")}, **rest})
     assert view.settings is settings
+
+
+def long_policy(**status: Any) -> Object:
+    """A policy with a valid tree that takes long to read."""
+    found = world.policy("Restart")
+    leaves = "".join(f"        topic('/a{index}', gap: 1s)\n" for index in range(200))
+    text = f"import osc.understudy\nscenario main:\n    do parallel:\n{leaves}"
+    found["spec"]["monitoring"] = {"osc": text}
+    return found | {"status": status}
+
+
+def accepted(reason: str, generation: int = 3) -> dict[str, Any]:
+    condition = {"type": "Accepted", "status": str(reason == "Accepted"), "reason": reason}
+    return {"observedGeneration": generation, "conditions": [condition]}
+
+
+@pytest.mark.parametrize("status", [{}, accepted("Accepted", 2), accepted("TreeInvalid"), accepted("TreeTooCostly")])
+def test_a_long_tree_that_the_operator_has_not_accepted_is_not_read(
+    view: ClusterView, status: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Reading it takes up to seconds in which the monitor follows nothing else."""
+    policy, spec = view.policy, view.spec
+    monkeypatch.setattr(
+        "understudy.monitor.observe.objects.cluster_view.composed", lambda *_, **__: pytest.fail("it was read")
+    )
+    change(view.policies, long_policy(**status))
+    assert view.policy is policy
+    change(view.workloads, world.workload(bringUp={"xml": "x" * 60_000}, status=status))
+    assert view.spec == spec
+
+
+@pytest.mark.parametrize("reason", ["Accepted", "PoolNotFound"])
+def test_a_long_tree_is_followed_once_the_operator_has_judged_it(view: ClusterView, reason: str) -> None:
+    change(view.policies, long_policy())
+    judged = long_policy(**accepted(reason))
+    judged["metadata"]["resourceVersion"] = "100"
+    view.policies.apply_event("MODIFIED", judged)
+    assert view.policy is not None
+    assert view.policy.monitoring.osc
+
+
+def test_a_pause_applies_although_a_long_tree_beside_it_is_not_accepted(view: ClusterView) -> None:
+    change(view.workloads, world.workload(bringUp={"xml": "x" * 60_000}, pause={"reason": "a", "owner": "b"}))
+    assert view.spec is not None
+    assert view.spec.pause is not None
+    assert view.spec.bring_up is None

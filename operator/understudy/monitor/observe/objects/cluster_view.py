@@ -18,6 +18,7 @@ from understudy.kube.client import CONFIG_MAPS, PODS, POLICIES, WORKLOADS, Clien
 from understudy.kube.gates import registry
 from understudy.kube.gates.base import GateKind, GateRecord
 from understudy.kube.watched_collection import Reflector, any_changed
+from understudy.monitor.observe.objects import long_trees
 from understudy.monitor.observe.objects.unclaimed_pods import Unclaimed
 from understudy.monitor.observe.wakeups import Wakeups
 from understudy.trees.languages.procedure_notations import composed
@@ -40,6 +41,14 @@ def unloadable(*procedures: tuple[str, Procedure | None]) -> str | None:
             except TreeError as error:
                 return error.in_short()
     return None
+
+
+def _unfollowable(item: Object, spec: RobotWorkloadSpec) -> str | None:
+    """Return why the spec of a workload is not used; None if it is."""
+    if long_trees.unaccepted(item):
+        return "it has long trees that the operator has not accepted"
+    trees = ((f"dependsOn[{i}].procedure", d.procedure) for i, d in enumerate(spec.depends_on))
+    return unloadable(("bringUp", spec.bring_up), *trees)
 
 
 def _only(name: str) -> str:
@@ -196,8 +205,7 @@ class ClusterView:
                 spec = self._spec[1]
                 try:
                     workload_spec = RobotWorkloadSpec.model_validate(item["spec"])
-                    trees = ((f"dependsOn[{i}].procedure", d.procedure) for i, d in enumerate(workload_spec.depends_on))
-                    if spec is None or (problem := unloadable(("bringUp", workload_spec.bring_up), *trees)) is None:
+                    if spec is None or (problem := _unfollowable(item, workload_spec)) is None:
                         spec = workload_spec
                     else:
                         # A pause applies even if the rest of the spec is invalid.
@@ -262,6 +270,12 @@ class ClusterView:
             self._policy_version
         ):
             self._policy_version = version
+            if self._policy is not None and long_trees.unaccepted(item):
+                _logger.warning(
+                    "FailurePolicy %s has long trees that the operator has not accepted, keeping the last one",
+                    item["metadata"]["name"],
+                )
+                return
             try:
                 policy_spec = in_force(FailurePolicySpec.model_validate(item["spec"]), item.get("status"))
                 if policy_spec is None:
