@@ -27,6 +27,7 @@ from dataclasses import dataclass
 from understudy.api import names
 from understudy.api.protocol import session_keys
 from understudy.clock import CLOCK, ClockSteps
+from understudy.kube.gates import probe_filter
 
 _logger = logging.getLogger(__name__)
 
@@ -137,6 +138,12 @@ class ProbeKeys:
             self._unsigned.move_to_end(uid)
             if len(self._unsigned) > Arrivals.PODS:
                 self._unsigned.popitem(last=False)
+
+    def filter(self) -> bytes:
+        """Return the program with which a socket receives what could count, and nothing else."""
+        forms = [probe_filter.Form(_SIGNED.size, _SIGNED_MAGIC, self._named)] if self._named else []
+        forms += [probe_filter.Form(_FORMAT.size, _MAGIC)] if self._unsigned else []
+        return probe_filter.program(forms)
 
     def sender(self, datagram: bytes) -> str | None:
         """Return the UID of the pod that has sent a probe; None if that is not certain, or if this probe or a later one came before."""
@@ -323,6 +330,8 @@ class ProbeReceiver:
         self._taken = time.time()
         """When the socket was last read to its end."""
         self._socket: socket.socket | None = None
+        self._filter = b""
+        """The program of the socket's filter."""
         self._changed = asyncio.Event()
         self._waiting = 0
         self._resting: asyncio.TimerHandle | None = None
@@ -339,6 +348,7 @@ class ProbeReceiver:
             sock.close()
             raise
         self._socket = sock
+        self._renew_filter()
         self._start_reading()
         bound: int = sock.getsockname()[1]
         return bound
@@ -354,11 +364,13 @@ class ProbeReceiver:
         """Count the probes of a pod that have a MAC under this key."""
         if self._keys is not None:
             self._keys.trust(uid, key)
+            self._renew_filter()
 
     def trust_unsigned(self, uid: str) -> None:
         """Count the probes of a pod without a MAC."""
         if self._keys is not None:
             self._keys.trust_unsigned(uid)
+            self._renew_filter()
 
     def last(self, uid: str) -> float | None:
         """Return when a pod's last probe arrived, in Unix seconds; None if none did."""
@@ -399,6 +411,12 @@ class ProbeReceiver:
         finally:
             self._waiting -= 1
         return CLOCK.of_system(first)
+
+    def _renew_filter(self) -> None:
+        """Let the kernel discard what cannot count, so that it takes no place in the buffer."""
+        if self._keys is not None and self._socket is not None and self._filter != (code := self._keys.filter()):
+            probe_filter.attach(self._socket, code)
+            self._filter = code
 
     def _start_reading(self) -> None:
         """Let the event loop report arrivals from now on."""
