@@ -1,0 +1,86 @@
+"""The pod from which a flood comes, and a policy that lets it through."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import subprocess
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from bench.flood import flooder
+from bench.flood.flooder import Plan
+from tests.e2e.kubectl import Kubectl, Object
+
+IMAGE = "localhost/understudy-quickstart:dev"
+
+OPEN = "everything-is-open"
+
+
+class Stranger:
+    """A pod without rights and without labels of Understudy."""
+
+    def __init__(self, kubectl: Kubectl, cpu: str) -> None:
+        """``cpu`` is its limit, or ``none``."""
+        self.kubectl, self.name = kubectl, f"stranger-{cpu}"
+        resources: Object = {"requests": {"cpu": "1m"}, "limits": {} if cpu == "none" else {"cpu": cpu}}
+        container = {
+            "name": "stranger",
+            "image": IMAGE,
+            "imagePullPolicy": "IfNotPresent",
+            "command": ["sleep", "infinity"],
+            "resources": resources,
+        }
+        spec = {
+            "automountServiceAccountToken": False,
+            "terminationGracePeriodSeconds": 0,
+            "containers": [container],
+        }
+        kubectl.apply([{"apiVersion": "v1", "kind": "Pod", "metadata": {"name": self.name}, "spec": spec}])
+        kubectl("wait", f"pod/{self.name}", "--for=condition=Ready", "--timeout=60s", timeout=70)
+
+    def begin(self, seconds: float) -> Flood:
+        """Begin a flood, which has no targets yet."""
+        source = Path(flooder.__file__).read_text()
+        command = self.kubectl.command("exec", "-i", self.name, "--", "python3", "-c", source, f"{seconds:g}")
+        return Flood(command)
+
+    def end(self) -> None:
+        self.kubectl("delete", "pod", self.name, "--now", "--ignore-not-found")
+
+
+class Flood:
+    """A flood in progress."""
+
+    def __init__(self, command: Sequence[str]) -> None:
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+
+    def aim(self, plan: Plan) -> None:
+        """Send to other targets from now on."""
+        assert self._process.stdin is not None
+        self._process.stdin.write(json.dumps(plan.__dict__) + "\n")
+        self._process.stdin.flush()
+
+    def result(self, within: float) -> dict[str, float]:
+        """Return what was sent, after the flood has ended."""
+        out, _ = self._process.communicate(timeout=within)
+        found: dict[str, float] = json.loads(out)
+        return found
+
+    def end(self) -> None:
+        """End it early."""
+        self._process.kill()
+        self._process.wait()
+
+
+@contextlib.contextmanager
+def opened(kubectl: Kubectl) -> Iterator[None]:
+    """Admit everything to all pods of a namespace, as a network does that enforces no policy for what arrives."""
+    policy: Any = {"podSelector": {}, "policyTypes": ["Ingress"], "ingress": [{}]}
+    kind = {"apiVersion": "networking.k8s.io/v1", "kind": "NetworkPolicy"}
+    kubectl.apply([{**kind, "metadata": {"name": OPEN}, "spec": policy}])
+    try:
+        yield
+    finally:
+        kubectl("delete", "networkpolicy", OPEN)
