@@ -25,7 +25,7 @@ from understudy.api.protocol import secure_channel
 from understudy.api.protocol.agent_messages import AgentStatus, GateEpoch, ProtocolError
 from understudy.api.protocol.secure_channel import AuthenticationFailed, Channel
 from understudy.api.protocol.session_keys import NotAuthentic
-from understudy.process import connection_limits
+from understudy.process import connection_limits, source_queues
 from understudy.process.connection_limits import ConnectionLimits
 
 _logger = logging.getLogger(__name__)
@@ -170,7 +170,7 @@ class ControlChannel:
         self._sessions: list[_Session] = []
         self._last_refusal = ""
 
-    async def serve(self, port: int = names.AGENT_PORT, *, host: str | None = None) -> asyncio.Server:
+    async def serve(self, port: int = names.AGENT_PORT, *, host: str | None = None) -> source_queues.Server:
         """Listen on a host; on all addresses if none is given. Raises OSError."""
         return await connection_limits.start_server(
             self._connected, host, port, limit=wire.MAX_GREETING, limits=self._pending

@@ -1,7 +1,8 @@
 """Servers whose connections are limited, so that strangers neither keep others out nor use up the descriptors of the process.
 
 A connection beyond a limit ends the oldest of the same source, or of the source that has most. A flood from one address so
-ends its own connections, and a newcomer from another address is served.
+ends its own connections, and a newcomer from another address is served. A flood that is faster than this process accepts is refused by the
+kernel, in a queue of its own (source_queues.py).
 """
 
 from __future__ import annotations
@@ -9,6 +10,8 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable
 from typing import cast
+
+from understudy.process import source_queues
 
 MOST = 64
 """Connections in all."""
@@ -76,11 +79,22 @@ class _Protocol(asyncio.StreamReaderProtocol):
 
 async def start_server(
     handler: Handler, host: str | None, port: int, *, limit: int, limits: ConnectionLimits
-) -> asyncio.Server:
+) -> source_queues.Server:
     """Listen as :func:`asyncio.start_server` does, with limits. ``limit`` is that of a stream's buffer. Raises OSError."""
-    return await asyncio.get_running_loop().create_server(
-        lambda: _Protocol(handler, limits, limit), host, port, backlog=_AT_ONCE
-    )
+    loop = asyncio.get_running_loop()
+
+    def protocol() -> _Protocol:
+        return _Protocol(handler, limits, limit)
+
+    first = await loop.create_server(protocol, host, port, backlog=_AT_ONCE, start_serving=False)
+    beside = [one for sock in first.sockets for one in source_queues.beside(sock)]
+    others = [await loop.create_server(protocol, sock=one, backlog=_AT_ONCE, start_serving=False) for one in beside]
+    servers = [first, *others]
+    for server in servers:
+        await server.start_serving()
+    for sock in first.sockets:
+        source_queues.divide(sock)
+    return source_queues.Server(servers)
 
 
 def _source(transport: asyncio.WriteTransport) -> str:

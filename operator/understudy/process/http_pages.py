@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from understudy.process import connection_limits
+from understudy.process import connection_limits, source_queues
 from understudy.process.connection_limits import ConnectionLimits
 
 _logger = logging.getLogger(__name__)
@@ -34,7 +34,7 @@ _REST = 9.0
 loop at most. A probe does not wait for another page's rest."""
 
 
-async def serve(pages: Mapping[str, Page], port: int, *, host: str | None = "0.0.0.0") -> asyncio.Server:
+async def serve(pages: Mapping[str, Page], port: int, *, host: str | None = "0.0.0.0") -> source_queues.Server:
     """Serve pages by path, for GET and HEAD, with one request per connection. Without a host: at all addresses, IPv6 too."""
     handle = _Server(pages).handle
     return await connection_limits.start_server(handle, host, port, limit=_MOST_BYTES, limits=ConnectionLimits())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import socket
 from collections.abc import AsyncIterator, Iterator
 
 import pytest
@@ -106,3 +107,15 @@ async def test_sessions_of_monitors_do_not_count_as_pending(port: int, strangers
         assert link.connected
     finally:
         await link.close()
+
+
+async def test_connections_that_the_agent_has_not_accepted_yet_keep_nobody_out(port: int) -> None:
+    """A flood may be faster than the agent accepts. The kernel then refuses the flood, and not the others."""
+    with contextlib.ExitStack() as open_:
+        for _ in range(connection_limits.MOST * 4):
+            one = open_.enter_context(socket.socket())
+            one.setblocking(False)
+            one.bind(("127.0.0.2", 0))
+            one.connect_ex(("127.0.0.1", port))
+        # Nothing is accepted meanwhile: this blocks the event loop.
+        open_.enter_context(socket.create_connection(("127.0.0.1", port), timeout=0.5, source_address=("127.0.0.1", 0)))

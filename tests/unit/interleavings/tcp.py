@@ -137,6 +137,11 @@ class Listener:
 
     process: Process
     factory: Callable[[], asyncio.Protocol]
+    sockets: tuple[()] = ()
+    """There are none, and one queue for all."""
+
+    async def start_serving(self) -> None:
+        """Listen: it does so already."""
 
 
 class Tcp:

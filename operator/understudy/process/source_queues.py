@@ -1,0 +1,99 @@
+"""Queues of connections that nobody has accepted yet, one for each part of the addresses from which they come.
+
+A socket that listens has one queue, and the kernel refuses whoever comes while it is full. Several sockets at one port have a queue each.
+A program in the kernel chooses the queue by the address of the source, so that a flood from one address, however fast, fills one queue
+only (Linux, socket(7), SO_REUSEPORT). It needs no privilege.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import ctypes
+import logging
+import socket
+import struct
+from collections.abc import Sequence
+
+_logger = logging.getLogger(__name__)
+
+QUEUES = 16
+
+_SO_ATTACH_REUSEPORT_CBPF = getattr(socket, "SO_ATTACH_REUSEPORT_CBPF", 51)
+_INSTRUCTION = struct.Struct("=HBBI")
+_BYTE, _WORD, _SHIFT, _EQUAL, _GO, _REMAINDER, _RETURN = 0x30, 0x20, 0x74, 0x15, 0x05, 0x94, 0x16
+"""Codes of classic BPF: load a byte, load a word, shift right, compare, jump, divide and keep the remainder, return the result."""
+
+_NETWORK = 0xFFF00000
+"""Offset of the header of IP (SKF_NET_OFF of linux/filter.h)."""
+
+_SOURCE = 12
+_SOURCE_6 = 20
+"""Offsets of an IPv4 source, and of the last four bytes of an IPv6 source, in the header of IP."""
+
+_PROGRAM = b"".join(
+    _INSTRUCTION.pack(code, if_true, if_false, value)
+    for code, value, if_true, if_false in (
+        (_BYTE, _NETWORK, 0, 0),
+        (_SHIFT, 4, 0, 0),
+        (_EQUAL, 4, 0, 2),
+        (_WORD, _NETWORK + _SOURCE, 0, 0),
+        (_GO, 1, 0, 0),
+        (_WORD, _NETWORK + _SOURCE_6, 0, 0),
+        (_REMAINDER, QUEUES, 0, 0),
+        (_RETURN, 0, 0, 0),
+    )
+)
+"""Returns the number of the queue: the address, or its last four bytes, modulo the number of queues."""
+
+
+def beside(first: socket.socket) -> list[socket.socket]:
+    """Return bound sockets for the further queues of a port, beside one that is bound to it and does not listen yet.
+
+    There are none if the kernel allows none.
+    """
+    with contextlib.ExitStack() as opened:
+        found = []
+        try:
+            # Not before it is bound: two processes that have the same port by mistake must notice it.
+            first.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
+            for _ in range(QUEUES - 1):
+                one = opened.enter_context(socket.socket(first.family, socket.SOCK_STREAM))
+                one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
+                if first.family == socket.AF_INET6:
+                    one.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+                one.bind(first.getsockname())
+                found.append(one)
+        except OSError as error:
+            _logger.info("a port has one queue for all addresses: %s", error)
+            return []
+        opened.pop_all()
+        return found
+
+
+def divide(first: socket.socket) -> None:
+    """Let the kernel choose among the sockets at a port, which all listen, by the source of a connection."""
+    buffer = ctypes.create_string_buffer(_PROGRAM, len(_PROGRAM))
+    described = struct.pack("@HP", len(_PROGRAM) // _INSTRUCTION.size, ctypes.addressof(buffer))
+    try:
+        first.setsockopt(socket.SOL_SOCKET, _SO_ATTACH_REUSEPORT_CBPF, described)
+    except OSError as error:
+        _logger.info("the queues of a port are not divided by address: %s", error)
+
+
+class Server:
+    """The servers of all queues of one port, or of several."""
+
+    def __init__(self, servers: Sequence[asyncio.Server]) -> None:
+        self._servers = servers
+
+    @property
+    def sockets(self) -> tuple[socket.socket, ...]:
+        """The sockets that listen. The first one tells the port."""
+        return tuple(sock for server in self._servers for sock in server.sockets)
+
+    def close(self) -> None:
+        """Listen no longer."""
+        for server in self._servers:
+            server.close()
