@@ -38,7 +38,7 @@ from tests.e2e.kubectl import Kubectl
 from tests.e2e.scenario import Robot, eventually, manifest
 from understudy.api import names
 
-QUIET = 3
+QUIET = 2
 """Failures without a flood before each variant."""
 
 MEMORY = "cat /sys/fs/cgroup/memory.peak 2>/dev/null || cat /sys/fs/cgroup/memory/memory.max_usage_in_bytes"
@@ -105,6 +105,7 @@ class Bench:
     def _flood(self, found: Found, stranger: Stranger, parts: tuple[str, ...], most: int, name: str) -> int:
         series, seconds = self._rested_series(found), self._options.seconds
         before, machine = self._received(), Machine()
+        protectors = self._protectors()
         flood = stranger.begin(seconds)
         try:
             series.fail(most, within=seconds, before_each=lambda: flood.aim(self._plan(parts)), to_the_end=True)
@@ -128,7 +129,13 @@ class Bench:
             found.rates.setdefault((key, unit), []).append(value)
         print(f"{name}: {', '.join(f'{key} {value:.4g} {unit}' for key, (value, unit) in rates.items())}", flush=True)
         self._finish(series, found, name)
+        found.restarts["replaced pods"] = found.restarts.get("replaced pods", 0) + len(protectors - self._protectors())
         return series.made
+
+    def _protectors(self) -> set[str]:
+        """Return the pods of the monitor and the discovery server."""
+        selector = f"{names.MONITORED}={self.robot.workload}"
+        return {pod["metadata"]["name"] for pod in self.robot.kubectl.list("pods", selector)}
 
     def _plan(self, parts: tuple[str, ...]) -> Plan:
         return self._targets.plan(parts, self._options.processes)

@@ -1,7 +1,7 @@
 """Floods addresses with datagrams and connections for some seconds, and writes to standard output what it has sent.
 
-``bench/flood.py`` runs the text of this file in the pod of a stranger. So it imports nothing but Python's standard library. Its argument is
-the number of seconds. Each line of its standard input is a plan as JSON (see :class:`Plan`), which replaces the one before. It ends by
+``scripts/bench flood`` runs this file in the pod of a stranger. So it imports nothing but Python's standard library. Its argument is the
+number of seconds. Each line of its standard input is a plan as JSON (see :class:`Plan`), which replaces the one before. It ends by
 itself after its seconds, or earlier if its standard input ends.
 
 Datagrams leave in batches (sendmmsg(2)), as fast as the kernel takes them, half of them small and half of them large. Connections are made

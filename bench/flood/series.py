@@ -15,7 +15,7 @@ from bench.recovery import EXPECTED
 from tests.e2e.kubectl import Failed, Object
 from tests.e2e.scenario import Robot
 
-FIRST = 12.0
+FIRST = 8.0
 """Seconds from the beginning of a flood to the first failure in it."""
 
 SETTLED = 4.0
@@ -48,7 +48,7 @@ class Found:
     conditions: Counter[str] = field(default_factory=Counter)
     """How often each status and reason of the conditions was seen, once a second."""
     restarts: dict[str, int] = field(default_factory=dict)
-    """Of containers, by pod."""
+    """Of containers by pod, and of pods that were replaced."""
     leaks: int = 0
     """Commands of a standby before the switch."""
     memory: dict[str, list[float]] = field(default_factory=dict)

@@ -15,6 +15,8 @@ from tests.e2e.kubectl import Kubectl, Object
 
 IMAGE = "localhost/understudy-quickstart:dev"
 
+FOLDER = "/opt/flooder"
+
 OPEN = "everything-is-open"
 
 
@@ -25,26 +27,29 @@ class Stranger:
         """``cpu`` is its limit, or ``none``."""
         self.kubectl, self.name = kubectl, f"stranger-{cpu}"
         resources: Object = {"requests": {"cpu": "1m"}, "limits": {} if cpu == "none" else {"cpu": cpu}}
+        program = {"flooder.py": Path(flooder.__file__).read_text()}
         container = {
             "name": "stranger",
             "image": IMAGE,
             "imagePullPolicy": "IfNotPresent",
             "command": ["sleep", "infinity"],
             "resources": resources,
+            "volumeMounts": [{"name": "program", "mountPath": FOLDER}],
         }
         spec = {
             "automountServiceAccountToken": False,
             "terminationGracePeriodSeconds": 0,
             "containers": [container],
+            "volumes": [{"name": "program", "configMap": {"name": self.name}}],
         }
-        kubectl.apply([{"apiVersion": "v1", "kind": "Pod", "metadata": {"name": self.name}, "spec": spec}])
+        common = {"apiVersion": "v1", "metadata": {"name": self.name}}
+        kubectl.apply([{**common, "kind": "ConfigMap", "data": program}, {**common, "kind": "Pod", "spec": spec}])
         kubectl("wait", f"pod/{self.name}", "--for=condition=Ready", "--timeout=60s", timeout=70)
 
     def begin(self, seconds: float) -> Flood:
         """Begin a flood, which has no targets yet."""
-        source = Path(flooder.__file__).read_text()
-        command = self.kubectl.command("exec", "-i", self.name, "--", "python3", "-c", source, f"{seconds:g}")
-        return Flood(command)
+        program = ("python3", f"{FOLDER}/flooder.py", f"{seconds:g}")
+        return Flood(self.kubectl.command("exec", "-i", self.name, "--", *program))
 
     def end(self) -> None:
         self.kubectl("delete", "pod", self.name, "--now", "--ignore-not-found")
