@@ -45,7 +45,7 @@ def add(report: Report, quiet: Found, floods: Mapping[str, Found], bounded: Coll
 def _times(report: Report, name: str, found: Found, quiet: Found, most: float | None) -> None:
     for figure, values in found.values.items():
         report.figure(f"{name}: {figure}", values, unit="ms")
-        if found is not quiet and figure in (GAP, "t_recovery"):
+        if found is not quiet and figure in (GAP, "t_recovery") and figure in quiet.values:
             for word, pick in (("longest", max), ("median", _median)):
                 longer = [pick(values) - pick(quiet.values[figure])]
                 must = None if most is None else {"max": most}

@@ -10,7 +10,10 @@ from tests.e2e.kubectl import Object
 from tests.e2e.scenario import Robot
 from understudy.api import names
 
-PARTS = ("agents", "probes", "pages", "dds", "discovery")
+DDS = "dds"
+"""The ports of participants in monitor and instances."""
+
+PARTS = ("agents", "probes", "pages", DDS, "discovery")
 """What can be flooded of Understudy."""
 
 ROBOT = "robot"
@@ -47,7 +50,7 @@ class Targets:
             pages = [(address(pod), names.METRICS_PORT) for pod in monitors]
             pages += [(address(pod), names.AGENT_HEALTH_PORT) for pod in instances]
             found.tcp += [(*page, manner) for page in pages for manner in ("syn", "silent", "garbage", "slow", "pages")]
-        if "dds" in parts:
+        if DDS in parts:
             found.udp += self._graph(monitors, "monitor", "monitor") + self._graph(instances, "instance", "drive")
         if "discovery" in parts:
             selector = f"{names.COMPONENT}=discovery,{names.MONITORED}={self._robot.workload}"
