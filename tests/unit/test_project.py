@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import re
 import subprocess
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -13,28 +11,6 @@ import yaml
 import understudy
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
-CONSTRAINTS = [
-    line for line in (REPOSITORY / "constraints.txt").read_text().splitlines() if line and not line.startswith("#")
-]
-
-
-def _normal(name: str) -> str:
-    return re.sub(r"[-_.]+", "-", name).lower()
-
-
-def test_every_constraint_is_a_pinned_version() -> None:
-    assert CONSTRAINTS
-    odd = [line for line in CONSTRAINTS if not re.fullmatch(r"[a-z0-9-]+==[0-9][0-9A-Za-z.+!]*", line)]
-    assert odd == []
-
-
-@pytest.mark.parametrize("group", ["dependencies", *PROJECT["optional-dependencies"]])
-def test_every_dependency_is_pinned(group: str) -> None:
-    asked = PROJECT["dependencies"] if group == "dependencies" else PROJECT["optional-dependencies"][group]
-    pinned = {line.partition("==")[0] for line in CONSTRAINTS}
-    names = {_normal(re.split(r"[<>=!~;\[ ]", text, maxsplit=1)[0]) for text in asked}
-    assert names - pinned == set(), "run scripts/constraints"
 
 
 def test_the_chart_has_the_version_of_the_package() -> None:
@@ -42,7 +18,7 @@ def test_the_chart_has_the_version_of_the_package() -> None:
     assert chart["version"] == chart["appVersion"] == understudy.__version__
 
 
-@pytest.mark.parametrize("script", ["test", "lib.sh", "constraints", "dashboards"])
+@pytest.mark.parametrize("script", ["test", "lib.sh", "dashboards"])
 def test_shell_scripts_are_valid(script: str) -> None:
     subprocess.run(["bash", "-n", str(REPOSITORY / "scripts" / script)], check=True)
 

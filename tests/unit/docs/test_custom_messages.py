@@ -47,10 +47,17 @@ def building(folder: Path, environment: Path) -> list[str]:
     places = {
         "/interfaces/build": str(folder / "interfaces" / "build"),
         "/opt/understudy": str(environment),
-        "/installed.txt": str(REPOSITORY / "constraints.txt"),
+        "/installed.txt": str(folder / "installed.txt"),
         "/wheels": str(folder / "wheels"),
     }
     return [sys.executable, *(places.get(word, word) for word in shlex.split(found))]
+
+
+def list_installed(folder: Path) -> None:
+    """Write the list of what is installed here, as the page lists what is installed in the image."""
+    (found,) = re.findall(r"(pip list .*) >/installed.txt", SOURCES)
+    listed = subprocess.run([sys.executable, "-m", *shlex.split(found)], capture_output=True, text=True, check=True)
+    (folder / "installed.txt").write_text(listed.stdout)
 
 
 def test_the_documented_commands_build_only_the_package_of_the_user(workspace: Path) -> None:
@@ -67,7 +74,8 @@ def test_the_documented_commands_build_only_the_package_of_the_user(workspace: P
 def test_the_documented_image_is_built_like_that_of_the_example() -> None:
     example = (EXAMPLE.parent / "Dockerfile").read_text()
     (building_them,) = re.findall(r"python /interfaces/build .*", SOURCES)
-    for command in ("pip list --format=freeze >/installed.txt", building_them):
+    (listing,) = re.findall(r"pip list .* >/installed.txt", SOURCES)
+    for command in (listing, building_them):
         assert command in example
     assert SOURCES.rstrip().endswith("USER 65532:65532")
     assert WHEELS.rstrip().endswith("USER 65532:65532")
@@ -82,6 +90,7 @@ def test_the_types_of_the_user_exist_after_their_wheel_is_installed(workspace: P
     environment = workspace / "environment"
     base = getattr(sys, "_base_executable", sys.executable)
     subprocess.run([base, "-m", "venv", str(environment)], check=True, timeout=120)
+    list_installed(workspace)
     network = os.environ.get(MACHINE_NETWORK)
     command = [*(["nsenter", f"--net={network}"] if network else []), *building(workspace, environment)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=800, check=False)

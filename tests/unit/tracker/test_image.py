@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import mujoco
 
 from testcluster.images import catalog
@@ -10,17 +12,12 @@ from testcluster.paths import REPOSITORY
 EXAMPLE = REPOSITORY / "examples" / "tracker"
 
 
-def lines(name: str) -> list[str]:
-    return [line for line in (REPOSITORY / name).read_text().splitlines() if line and not line.startswith("#")]
-
-
 def image(short: str) -> catalog.Image:
     return next(image for image in catalog.images() if image.short == short)
 
 
 def test_the_image_has_the_same_versions_as_the_tests() -> None:
-    wanted = lines("examples/tracker/requirements.txt")
-    assert set(wanted) <= set(lines("constraints.txt"))
+    wanted = re.findall(r"^[a-z].*?==[^ ]+", (EXAMPLE / "requirements.txt").read_text(), re.MULTILINE)
     assert f"mujoco-core=={mujoco.__version__}" in wanted
 
 
