@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
 import queue
 import tempfile
@@ -74,7 +75,7 @@ def seeds(options: Options) -> range | list[int]:
 
 def drawn(numbers: range | list[int]) -> Iterator[Sample]:
     """Yield the objects of seeds in order, which another process draws ahead."""
-    with ProcessPoolExecutor(1) as pool:
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         waiting: queue.SimpleQueue[Future[Sample]] = queue.SimpleQueue()
         rest = iter(numbers)
         for number in [number for _, number in zip(range(AHEAD), rest, strict=False)]:

@@ -108,7 +108,7 @@ class Sender:
                     raise SystemExit(f"{kind} {name}: {body[:500]!r}")
 
     def send(self, sample: Sample) -> Sent:
-        """Send a new object, or a change of one that exists, and return what became of it."""
+        """Send a new object, or a change of one that exists, and return the result."""
         field = "data" if sample.kind == "ConfigMap" else "spec"
         at, new = time.time(), sample.way == "create" or not sample.part(field)
         if new:
