@@ -1,4 +1,4 @@
-"""The limit on the depth of fields with unknown content."""
+"""The limits on the depth and the number of values of an object."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pydantic import ValidationError
 
 from tests.support.nested_values import nested
 from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.api.kinds.fallback_pool import FallbackPoolSpec
 from understudy.api.nesting import DEEPEST, MOST_VALUES
 
 
@@ -49,3 +50,16 @@ def test_a_field_with_too_many_values_is_refused(of: Any) -> None:
     (error,) = caught.value.errors()
     assert error["loc"] == ("monitoring", "yaml")
     assert str(MOST_VALUES) in error["msg"]
+
+
+def test_a_selector_with_very_many_labels_is_refused() -> None:
+    """An object can have 100,000, and the operator compares each of them with the labels of each workload of the namespace."""
+
+    def selector(labels: int) -> dict[str, Any]:
+        found = {"matchLabels": {f"label-{index}": "" for index in range(labels)}}
+        return {"readiness": "Executing", "perWorkload": 1, "workloadSelector": found}
+
+    assert FallbackPoolSpec.model_validate(selector(64)).workload_selector.match_labels
+    with pytest.raises(ValidationError) as caught:
+        FallbackPoolSpec.model_validate(selector(65))
+    assert [error["loc"] for error in caught.value.errors()] == [("workloadSelector", "matchLabels")]

@@ -31,7 +31,7 @@ class LabelSelectorRequirement(Model):
 class LabelSelector(Model):
     """A label selector, as elsewhere in Kubernetes. An empty selector selects everything."""
 
-    match_labels: dict[str, str] | None = None
+    match_labels: dict[str, str] | None = Field(default=None, max_length=64)
     """Labels that must all be present."""
     match_expressions: list[LabelSelectorRequirement] | None = Field(default=None, max_length=16)
     """Expressions that must all be true."""
