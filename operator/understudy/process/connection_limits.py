@@ -19,9 +19,6 @@ MOST = 64
 MOST_OF_SOURCE = 8
 """Connections of one address."""
 
-_AT_ONCE = 32
-"""Connections that are accepted in one turn of the event loop. These may be open beyond the limit for a moment."""
-
 Handler = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
 
 
@@ -86,15 +83,8 @@ async def start_server(
     def protocol() -> _Protocol:
         return _Protocol(handler, limits, limit)
 
-    first = await loop.create_server(protocol, host, port, backlog=_AT_ONCE, start_serving=False)
-    beside = [one for sock in first.sockets for one in source_queues.beside(sock)]
-    others = [await loop.create_server(protocol, sock=one, backlog=_AT_ONCE, start_serving=False) for one in beside]
-    servers = [first, *others]
-    for server in servers:
-        await server.start_serving()
-    for sock in first.sockets:
-        source_queues.divide(sock)
-    return source_queues.Server(servers)
+    bound = await loop.create_server(protocol, host, port, start_serving=False)
+    return source_queues.Server(protocol, bound)
 
 
 def _source(transport: asyncio.WriteTransport) -> str:

@@ -3,6 +3,8 @@
 A socket that listens has one queue, and the kernel refuses whoever comes while it is full. Several sockets at one port have a queue each.
 A program in the kernel chooses the queue by the address of the source, so that a flood from one address, however fast, fills one queue
 only (Linux, socket(7), SO_REUSEPORT). It needs no privilege.
+
+From each queue, few connections a second are accepted. So a flood costs little processor time, and nobody waits who is in another queue.
 """
 
 from __future__ import annotations
@@ -13,11 +15,20 @@ import ctypes
 import logging
 import socket
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable
 
 _logger = logging.getLogger(__name__)
 
 QUEUES = 16
+
+BACKLOG = 32
+"""Connections that wait in one queue, and those that are accepted from it at once after a rest."""
+
+PACE = 0.005
+"""Seconds between two connections that are accepted from one queue, on average."""
+
+UNABLE = 1.0
+"""Seconds until another attempt after the kernel could not provide a connection."""
 
 _SO_ATTACH_REUSEPORT_CBPF = getattr(socket, "SO_ATTACH_REUSEPORT_CBPF", 51)
 _INSTRUCTION = struct.Struct("=HBBI")
@@ -83,17 +94,44 @@ def divide(first: socket.socket) -> None:
 
 
 class Server:
-    """The servers of all queues of one port, or of several."""
+    """Accepts connections from all queues of a port."""
 
-    def __init__(self, servers: Sequence[asyncio.Server]) -> None:
-        self._servers = servers
-
-    @property
-    def sockets(self) -> tuple[socket.socket, ...]:
-        """The sockets that listen. The first one tells the port."""
-        return tuple(sock for server in self._servers for sock in server.sockets)
+    def __init__(self, protocol: Callable[[], asyncio.Protocol], bound: asyncio.Server) -> None:
+        """``bound`` has sockets that do not listen yet, one for each family of addresses."""
+        self._protocol, self._bound = protocol, bound
+        firsts = [sock.dup() for sock in bound.sockets]
+        self.sockets = [*firsts, *(one for sock in firsts for one in beside(sock))]
+        """The first one tells the port."""
+        for sock in self.sockets:
+            sock.setblocking(False)
+            sock.listen(BACKLOG)
+        for sock in firsts:
+            divide(sock)
+        self._accepting = [asyncio.create_task(self._accept(sock)) for sock in self.sockets]
 
     def close(self) -> None:
-        """Listen no longer."""
-        for server in self._servers:
-            server.close()
+        """Accept no further connections."""
+        for task in self._accepting:
+            task.cancel()
+        for sock in self.sockets:
+            sock.close()
+        self._bound.close()
+
+    async def _accept(self, sock: socket.socket) -> None:
+        """Accept connections, at the pace of one queue."""
+        loop = asyncio.get_running_loop()
+        due = loop.time()
+        while True:
+            try:
+                connection, _ = await loop.sock_accept(sock)
+            except OSError as error:  # such as that no descriptor is left
+                _logger.warning("accepting a connection: %s", error)
+                await asyncio.sleep(UNABLE)
+                continue
+            with contextlib.suppress(OSError):
+                await loop.connect_accepted_socket(self._protocol, connection)
+            # A queue that was empty for a while may be emptied at once.
+            now = loop.time()
+            due = max(due + PACE, now - BACKLOG * PACE)
+            if due > now:
+                await asyncio.sleep(due - now)

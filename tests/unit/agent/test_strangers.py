@@ -70,7 +70,7 @@ async def assert_let_in(connection: Connection) -> None:
 
 async def test_a_flood_from_one_pod_does_not_keep_the_monitor_out(port: int, strangers: Strangers) -> None:
     monitor = await connected(port)
-    await strangers.connect("127.0.0.2", 200)
+    await strangers.connect("127.0.0.2", 2 * connection_limits.MOST)
     await assert_let_in(monitor)
 
 
@@ -81,7 +81,7 @@ async def test_a_flood_from_several_pods_does_not_keep_the_monitor_out(port: int
         await strangers.connect(pod, most_of_one)
     monitor = await connected(port)
     for pod in pods:
-        await strangers.connect(pod, most)
+        await strangers.connect(pod, most_of_one)
     await assert_let_in(monitor)
 
 

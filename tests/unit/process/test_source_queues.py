@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import errno
 import socket
+import time
 from collections.abc import AsyncIterator, Iterator
 
 import pytest
@@ -69,6 +70,34 @@ async def test_every_queue_is_served(port: int, connections: contextlib.ExitStac
         sock.setblocking(False)
         async with asyncio.timeout(2):
             assert await asyncio.get_running_loop().sock_recv(sock, 1) == b"", "the server has read the end"
+
+
+async def test_a_queue_that_is_never_empty_is_served_slowly(port: int) -> None:
+    """So a flood costs little processor time, whatever its rate."""
+    end, count = time.monotonic() + 1.0, 0
+    while time.monotonic() < end:
+        with contextlib.suppress(TimeoutError, ConnectionError):
+            async with asyncio.timeout_at(asyncio.get_running_loop().time() + max(0.0, end - time.monotonic())):
+                reader, writer = await asyncio.open_connection("127.0.0.1", port, local_addr=(FLOOD, 0))
+                writer.write_eof()
+                await reader.read()  # it was accepted
+                count += 1
+                writer.close()
+    assert count <= source_queues.BACKLOG + 1.0 / source_queues.PACE + 1
+
+
+async def test_others_do_not_wait_for_a_queue_that_is_served_slowly(
+    port: int, connections: contextlib.ExitStack
+) -> None:
+    _flood(connections, port)
+    await asyncio.sleep(0.1)
+    begun = time.monotonic()
+    reader, writer = await asyncio.open_connection("127.0.0.1", port, local_addr=(OTHER, 0))
+    writer.write_eof()
+    async with asyncio.timeout(2):
+        assert await reader.read() == b"", "it was accepted"
+    assert time.monotonic() - begun < 1.0
+    writer.close()
 
 
 async def test_connections_over_ipv6(connections: contextlib.ExitStack) -> None:
