@@ -164,8 +164,9 @@ class Bench:
             for status in pod["status"].get("containerStatuses") or []:
                 if status["name"] in own:
                     found.restarts[pod["metadata"]["name"]] = status["restartCount"]
-                    peak = int(robot.kubectl.shell(pod["metadata"]["name"], status["name"], MEMORY)) / 1e6
-                    found.memory.setdefault(status["name"], []).append(peak)
+                    with contextlib.suppress(Failed):  # it is gone by now
+                        peak = int(robot.kubectl.shell(pod["metadata"]["name"], status["name"], MEMORY)) / 1e6
+                        found.memory.setdefault(status["name"], []).append(peak)
         gaps = ", ".join(f"{gap:.0f}" for gap in found.values.get(GAP, [])[-series.made :])
         print(f"{name}: {series.made} failures, gaps {gaps} ms, false failovers: {found.unasked}", flush=True)
 

@@ -138,10 +138,7 @@ class Listener:
     process: Process
     factory: Callable[[], asyncio.Protocol]
     sockets: tuple[()] = ()
-    """There are none, and one queue for all."""
-
-    async def start_serving(self) -> None:
-        """Listen: it does so already."""
+    """There are none: connections do not wait here until they are accepted."""
 
 
 class Tcp:
