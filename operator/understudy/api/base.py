@@ -16,7 +16,7 @@ from understudy.api.durations import seconds as seconds
 from understudy.api.names import GROUP as GROUP
 from understudy.api.nesting import DEEPEST, MOST_VALUES, has_too_many, is_too_deep
 from understudy.api.plain_text import one_line
-from understudy.api.ros_names import ROS_NAME_MESSAGE, ROS_NAME_PATTERN
+from understudy.api.ros_names import LONGEST_ROS_NAME, ROS_NAME_MESSAGE, ROS_NAME_PATTERN
 
 VERSION = "v1alpha1"
 API_VERSION = f"{GROUP}/{VERSION}"
@@ -159,7 +159,7 @@ OBJECT_NAME_MESSAGE = (
 ObjectName = Annotated[str, matching(OBJECT_NAME_PATTERN, OBJECT_NAME_MESSAGE, min_length=1, max_length=253)]
 """The name of a Kubernetes object (a DNS subdomain)."""
 
-RosName = Annotated[str, matching(ROS_NAME_PATTERN, ROS_NAME_MESSAGE, max_length=256)]
+RosName = Annotated[str, matching(ROS_NAME_PATTERN, ROS_NAME_MESSAGE, max_length=LONGEST_ROS_NAME)]
 """A fully qualified name of a topic, service, action or node."""
 
 

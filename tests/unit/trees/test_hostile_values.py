@@ -11,6 +11,7 @@ import pytest
 
 from understudy.api.kinds.procedure_spec import Procedure
 from understudy.failover.bring_up import BringUp
+from understudy.trees.languages.notations import load_health
 from understudy.trees.languages.procedure_notations import compose
 from understudy.trees.languages.text.flow_values import structure_of
 from understudy.trees.languages.text_files import load_text
@@ -146,3 +147,18 @@ def test_the_largest_numbers_of_ros_are_accepted() -> None:
 )
 def test_the_text_of_a_found_value_is_short(value: Any) -> None:
     assert 0 < len(found_text(value)) <= 60
+
+
+@pytest.mark.parametrize(
+    "tree",
+    [
+        {"topic": {"name": "/%s", "gap": "1s"}},
+        {"progress": {"action": "/a/%s", "gap": "5s"}},
+        {"while": {"task_active": {"action": "/%s"}}, "do": {"topic": {"name": "/scan", "gap": "1s"}}},
+        {"lifecycle": {"node": "/%s"}},
+    ],
+)
+def test_a_name_that_ros_would_refuse_is_refused(tree: dict[str, Any]) -> None:
+    """ROS refuses a topic of more than 247 characters with an error that ended the monitor, also for the status of an action."""
+    with pytest.raises(TreeError, match="a name may have 200 characters"):
+        load_health("yaml", json.loads(json.dumps(tree).replace("%s", "x" * 240)), grace=1.0)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, TypeGuard, TypeVar
 
 from understudy.api.durations import seconds
-from understudy.api.ros_names import ROS_NAME_PATTERN, ROS_TYPE_PATTERN
+from understudy.api.ros_names import LONGEST_ROS_NAME, ROS_NAME_PATTERN, ROS_TYPE_PATTERN
 from understudy.trees.source.problems import Problem, did_you_mean
 
 DEEPEST = 32
@@ -116,7 +116,15 @@ class Reader:
 def name_of(what: str, example: str) -> Callable[[object], str]:
     """Return a function that reads the fully qualified name of a topic, a node or another part of the ROS graph. It
     raises ValueError."""
-    return _matching(ROS_NAME_PATTERN, f"a fully qualified {what} name such as {example}")
+    read = _matching(ROS_NAME_PATTERN, f"a fully qualified {what} name such as {example}")
+
+    def read_short(found: object) -> str:
+        name = read(found)
+        if len(name) > LONGEST_ROS_NAME:
+            raise ValueError(f"found {found_text(name)}; a name may have {LONGEST_ROS_NAME} characters")
+        return name
+
+    return read_short
 
 
 def type_of(kind: str, right: str = "") -> Callable[[object], str]:
