@@ -1,6 +1,6 @@
 """Sends generated objects to a running operator and a running monitor, and measures what other workloads notice of it.
 
-    scripts/bench fuzz [--seed 1] [--objects 20000] [--only SEED ...] [--unaided] [--show SEED]
+    scripts/bench fuzz [--seed 1] [--objects 20000] [--minutes 120] [--only SEED ...] [--unaided] [--show SEED]
 
 Each object has a seed of its own. Hypothesis draws it from the schemas of the three kinds and the grammars of the tree
 languages, by its schema or with mutations. It is created, or it changes an object that exists, or it changes what the
@@ -30,6 +30,7 @@ def main() -> int:
     parser.add_argument(
         "--before", type=int, default=4, metavar="N", help="failures of each robot before the first object"
     )
+    parser.add_argument("--minutes", type=float, default=120, help="end after this time, with fewer objects")
     parser.add_argument("--keep", action="store_true", help="keep the namespaces")
     options = parser.parse_args()
     if options.show is not None:
@@ -42,7 +43,11 @@ def main() -> int:
     assert "KUBECONFIG" in os.environ, "scripts/bench sets it"
     from bench.fuzz.campaign import Options, run
 
-    return run(Options(options.seed, options.objects, options.only, options.alive, options.before, options.keep))
+    return run(
+        Options(
+            options.seed, options.objects, options.only, options.alive, options.before, options.minutes, options.keep
+        )
+    )
 
 
 def unaided(numbers: range | list[int]) -> int:

@@ -111,7 +111,7 @@ def of_schema(schema: Schema, path: tuple[str, ...]) -> Strategy:
 _PATTERN = re.compile(r"self\.matches\(r'(.*?)'\)")
 
 _USUAL: tuple[tuple[str, Strategy], ...] = (
-    ("(ms|s|m|h)", st.one_of(one_of(*values.DURATIONS), one_of(*values.DURATIONS, *values.EXTREME_DURATIONS))),
+    ("(ms|s|m|h)", st.one_of(one_of(*values.DURATIONS), one_of(*values.DURATIONS, *values.LONG_DURATIONS))),
     ("/(msg|", one_of(*values.ROS_TYPES)),
     ("/action/", one_of("nav2_msgs/action/NavigateToPose", "a/action/B")),
     ("/msg/", one_of("geometry_msgs/msg/Twist", "nav_msgs/msg/Odometry", "std_msgs/msg/String")),
@@ -133,7 +133,7 @@ def _text(schema: Schema, path: tuple[str, ...]) -> Strategy:
     matching = st.from_regex(found).map(lambda text: text[:most])
     by_pattern = next((texts for part, texts in _USUAL if part in found), None)
     usual = _FIELDS.get(path[-1], by_pattern)
-    return st.one_of(usual, usual, matching) if usual is not None else matching
+    return st.one_of(*[usual] * 7, matching) if usual is not None else matching
 
 
 def _array(schema: Schema, path: tuple[str, ...]) -> Strategy:

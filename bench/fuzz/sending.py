@@ -14,6 +14,7 @@ from urllib3.exceptions import HTTPError
 
 from bench.fuzz.samples import Sample
 from bench.fuzz.values import OWN, SLOTS, slot
+from understudy.api import names
 from understudy.kube.client import CONFIG_MAPS, POLICIES, POOLS, WORKLOADS, Resource
 from understudy.kube.decoding import decode
 
@@ -21,8 +22,11 @@ RESOURCES: dict[str, Resource] = {
     "RobotWorkload": WORKLOADS, "FailurePolicy": POLICIES, "FallbackPool": POOLS, "ConfigMap": CONFIG_MAPS,
 }  # fmt: skip
 
-WITHIN = 30.0
+WITHIN = 60.0
 """Seconds within which an object that the API server stores must have a verdict. The next try after a refusal of a write is earlier."""
+
+LENIENT = "fieldValidation=Ignore"
+"""Unknown fields are dropped without a warning about each of them, of which there may be too many for an answer."""
 
 JSON = "application/json"
 PATCH = "application/json-patch+json"
@@ -113,11 +117,11 @@ class Sender:
         at, new = time.time(), sample.way == "create" or not sample.part(field)
         if new:
             name = sample.name
-            status, _ = self._api.send("POST", self.path(sample.kind), sample.text)
+            status, _ = self._api.send("POST", f"{self.path(sample.kind)}?{LENIENT}", sample.text)
         else:
             name = slot(sample.kind, sample.seed % SLOTS)
             patch = f'[{{"op":"replace","path":"/{field}","value":{sample.part(field)}}}]'
-            status, _ = self._api.send("PATCH", self.path(sample.kind, name), patch, PATCH)
+            status, _ = self._api.send("PATCH", f"{self.path(sample.kind, name)}?{LENIENT}", patch, PATCH)
         sent = Sent(sample, at, status)
         if sent.stored and sample.kind != "ConfigMap":
             sent = self._judged(sent, self.path(sample.kind, name))
@@ -138,9 +142,13 @@ class Sender:
 def refusing_pods(name: str, namespace: str) -> list[dict[str, Any]]:
     """Return an admission policy against the pods of generated objects, of which no machine could run as many.
 
+    These are also the pods of generated pools for other workloads, which a pool may serve.
+
     A dry run is admitted: by one, the operator asks whether the pods of a template would be.
     """
-    ours = f"object.metadata.?generateName.orValue('').startsWith('{OWN}-') || object.metadata.?name.orValue('').startsWith('{OWN}-')"
+    metadata = "object.metadata"
+    owners = (f"{metadata}.?generateName", f"{metadata}.?name", f"{metadata}.?labels['{names.POOL}']")
+    ours = " || ".join(f"{owner}.orValue('').startsWith('{OWN}-')" for owner in owners)
     rule = {"apiGroups": [""], "apiVersions": ["v1"], "operations": ["CREATE"], "resources": ["pods"]}
     group = "admissionregistration.k8s.io/v1"
     spec = {

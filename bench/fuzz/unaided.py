@@ -37,6 +37,7 @@ from understudy.failover import pinned
 from understudy.kube.client import CONFIG_MAPS, POLICIES, POOLS, WORKLOADS, Object, Resource
 from understudy.kube.decoding import bounded, decode
 from understudy.kube.gates.base import GateRecord
+from understudy.monitor.observe.objects import long_trees
 from understudy.trees.core.health_tree import HealthTree
 from understudy.trees.core.observations import RecordedObservations
 from understudy.trees.core.snapshots import snapshot
@@ -237,6 +238,8 @@ def _policy(trial: Trial, item: Object, config_maps: Mapping[str, Object] | None
     for _ in range(2):
         verdicts.of("plan of a workload", around.build)
         around.workload["status"] = verdicts.of("status of a workload", around.status) or {}
+    if long_trees.unaccepted(item):
+        return  # a monitor does not read it
     trial.step(
         "policy in the monitor", lambda: in_force(FailurePolicySpec.model_validate(item["spec"]), item.get("status"))
     )

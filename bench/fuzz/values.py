@@ -53,9 +53,15 @@ LIKE_NUMBERS = (
 
 DURATIONS = ("0s", "1ms", "10ms", "50ms", "100ms", "500ms", "1s", "2s", "10s", "30s", "1m30s", "1h", "24h", "0.5s")
 
+LONG_DURATIONS = (
+    "9" * 30 + "h", "0.00000000000000000001ms", "99999999h", "1h1m1s1ms", "1s" * 16, "0ms0s0m0h", "876000h", "300000000h",
+    "00000000000000000000000000001s",
+)  # fmt: skip
+"""Extreme durations that match the pattern of a duration."""
+
 EXTREME_DURATIONS = (
-    "9" * 30 + "h", "0.00000000000000000001ms", "99999999h", "1h1m1s1ms", "1s" * 16, "0ms0s0m0h", "1e3s", "-1s", "1", "s",
-    " 1s", "1s\n", "١s", "1.s", ".5s", "1d", "Infinitys", "00000000000000000000000000001s", "876000h", "300000000h",
+    *LONG_DURATIONS, "1e3s", "-1s", "1", "s",
+    " 1s", "1s\n", "١s", "1.s", ".5s", "1d", "Infinitys",
 )  # fmt: skip
 
 QUANTITIES = ("1", "500m", "1.5", "200Mi", "1Gi", "1e3", "0", "10M")
@@ -187,6 +193,8 @@ def _huge(what: str) -> Any:
             return ["é"] * 100_000
         case "keys":
             return {f"k{i}": [i] for i in range(60_000)}
+        case "labels":
+            return {f"label-{i}": "" for i in range(60_000)}
         case "text":
             return "x" * 1_200_000
     return "\x00\u2028" * 90_000
@@ -199,7 +207,7 @@ large_structures = st.one_of(
     st.just(PLACE),
     st.builds(lambda text, count: {text: {text: [text] * count}}, texts, one_of(1, 100)),
     one_of({}, [], [[[[]]]], {"": {"": {"": ""}}}),
-    one_of("zeros", "lists", "texts", "keys", "text", "escapes").map(lambda what: _huge(what)),
+    one_of("zeros", "lists", "texts", "keys", "labels", "text", "escapes").map(lambda what: _huge(what)),
 )
 """Large, deep and empty values of JSON. PLACE becomes a value that is nested more deeply than Python can read."""
 

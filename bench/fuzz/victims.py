@@ -221,7 +221,8 @@ class Live:
             item = self.robot.get()
             status = item.get("status") or {}
             protected = any(c["type"] == "Protected" and c["status"] == "True" for c in status.get("conditions") or [])
-            if verdict(item).startswith("True") and status.get("health") == "Healthy" and protected:
+            # A generated pool may serve it too, whose pods the bench refuses. Then it is protected and not accepted.
+            if verdict(item) and status.get("health") == "Healthy" and protected:
                 return
             if time.monotonic() - begun > RESTORED_WITHIN:
                 raise Late(
