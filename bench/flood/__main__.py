@@ -5,7 +5,8 @@
 A stranger's pod, without rights and without labels, sends datagrams and makes connections at its full rate to all instances, the monitor
 and the discovery server of one robot. SIGKILL ends the application that drives, and its executing standby takes over.
 
-    outside  the stranger is in another namespace: network policies drop everything
+    outside  the stranger is in another namespace: network policies drop everything except connections to pages, since the tests' chart
+             has metrics for everybody (metrics.from)
     peer     it is in the robot's namespace, so by default a peer: policies admit its datagrams at the discovery server
     open     the same with a policy that admits everything that arrives: floods reach agents, probes and pages
     graph    as peer, at the DDS ports of monitor and instances, the gated ones too, where policies admit peers; without a bound
