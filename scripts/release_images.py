@@ -9,6 +9,7 @@ import json
 import re
 import sys
 import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -148,6 +149,12 @@ def push(name: str) -> str:
     return found[1]
 
 
+def values(registry: str, digests: Mapping[str, str]) -> str:
+    """Return the chart's values that name images by their digests."""
+    named = [f"  {target}: {{repository: {registry}/{target}, digest: {digests[target]!r}}}" for target in CHART]
+    return "\n".join(["images:", *named]) + "\n"
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run the command, and return the exit code."""
     parser = argparse.ArgumentParser(
@@ -173,8 +180,6 @@ def main(arguments: list[str] | None = None) -> int:
     except (Refused, CommandFailed) as error:
         print(f"scripts/release: {error}", file=sys.stderr)
         return 1
-    print("images:")
-    for target in CHART:
-        print(f"  {target}: {{repository: {options.registry}/{target}, digest: {digests[target]!r}}}")
+    print(values(options.registry, digests), end="")
     print(f"# the tracker: {names['tracker']}@{digests['tracker']}")
     return 0

@@ -6,11 +6,13 @@ import re
 import shlex
 import subprocess
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
 
+from scripts import release_images
 from tests.support.pages import PAGES, REPOSITORY, page_name, typed
 from understudy import __version__
 
@@ -40,9 +42,18 @@ def rendering(line: str) -> list[str]:
     return kept
 
 
+@pytest.fixture
+def released(tmp_path: Path) -> Path:
+    """What scripts/release prints, in the file to which the pages redirect it."""
+    file = tmp_path / "images.yaml"
+    digests = dict.fromkeys(release_images.CHART, f"sha256:{'1' * 64}")
+    file.write_text(release_images.values("registry.example/understudy", digests))
+    return file
+
+
 @pytest.mark.parametrize("line", list(helms()))
-def test_documented_helm_commands_set_the_documented_values(helm: str, line: str) -> None:
-    arguments = rendering(line)
+def test_documented_helm_commands_set_the_documented_values(helm: str, released: Path, line: str) -> None:
+    arguments = [str(released) if word == released.name else word for word in rendering(line)]
     command = [helm, "template", *arguments, "--kube-version", "1.34"]
     done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
@@ -50,6 +61,8 @@ def test_documented_helm_commands_set_the_documented_values(helm: str, line: str
     (operator,) = (item for item in objects if item["kind"] == "Deployment")
     (container,) = operator["spec"]["template"]["spec"]["containers"]
     set_to = dict(word.split("=", 1) for word in ",".join(arguments).split(",") if word.startswith("images."))
+    if str(released) in arguments:
+        assert re.fullmatch(r"registry.example/understudy/operator:\S+@sha256:1{64}", container["image"])
     if repository := set_to.get("images.operator.repository"):
         assert container["image"].startswith(f"{repository}:")
 
