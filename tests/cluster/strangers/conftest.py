@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import subprocess
 from collections.abc import AsyncIterator, Callable, Iterator
-from pathlib import Path
 
 import pytest
 import yaml
 
 from tests.cluster import monitor_accounts
-from tests.cluster.conftest import Release
+from tests.cluster.conftest import REPOSITORY, Release
 from tests.cluster.monitor_accounts import allow, until_refused
 from tests.cluster.operators import workload
 from tests.support.cluster import Cluster, Object
 from understudy.api import names
 from understudy.kube.client import Client
 
-REPOSITORY = Path(__file__).resolve().parents[3]
 KINDS: Object = {"apiGroups": [names.GROUP], "resources": ["*"], "verbs": ["*"]}
 PODS: Object = {"apiGroups": [""], "resources": ["pods"], "verbs": ["create"]}
 

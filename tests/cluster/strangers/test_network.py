@@ -90,7 +90,7 @@ def test_a_compromised_standby_commands_no_robot_and_no_agent_and_sends_no_test_
     gated = [
         f"{compromised_standby} -> {target} udp/{port}" for target in ("robot", "camera") for port in (7950, 8000, 8149)
     ]
-    outside = [f"{compromised_standby} -> dashboard {port}" for port in ALL_PORTS if port != "udp/53"]
+    outside = [f"{compromised_standby} -> dashboard {port}" for port in ALL_PORTS]
     workload.expect(
         [*ROBOT, *flows([f"{compromised_standby} -> robot udp/1000", f"{compromised_standby} -> camera udp/11811"])],
         flows(
