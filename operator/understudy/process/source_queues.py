@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import ctypes
 import logging
 import socket
-import struct
 from collections.abc import Callable
+
+from understudy.kernel_programs import EQUAL, GO, LOAD_WORD, attach, instruction
 
 _logger = logging.getLogger(__name__)
 
@@ -31,9 +31,8 @@ UNABLE = 1.0
 """Seconds until another attempt after the kernel could not provide a connection."""
 
 _SO_ATTACH_REUSEPORT_CBPF = getattr(socket, "SO_ATTACH_REUSEPORT_CBPF", 51)
-_INSTRUCTION = struct.Struct("=HBBI")
-_BYTE, _WORD, _SHIFT, _EQUAL, _GO, _REMAINDER, _RETURN = 0x30, 0x20, 0x74, 0x15, 0x05, 0x94, 0x16
-"""Codes of classic BPF: load a byte, load a word, shift right, compare, jump, divide and keep the remainder, return the result."""
+_BYTE, _SHIFT, _REMAINDER, _RETURN = 0x30, 0x74, 0x94, 0x16
+"""Codes of instructions: load a byte, shift right, divide and keep the remainder, return the result."""
 
 _NETWORK = 0xFFF00000
 """Offset of the header of IP (SKF_NET_OFF of linux/filter.h)."""
@@ -43,16 +42,15 @@ _SOURCE_6 = 20
 """Offsets of an IPv4 source, and of the last four bytes of an IPv6 source, in the header of IP."""
 
 _PROGRAM = b"".join(
-    _INSTRUCTION.pack(code, if_true, if_false, value)
-    for code, value, if_true, if_false in (
-        (_BYTE, _NETWORK, 0, 0),
-        (_SHIFT, 4, 0, 0),
-        (_EQUAL, 4, 0, 2),
-        (_WORD, _NETWORK + _SOURCE, 0, 0),
-        (_GO, 1, 0, 0),
-        (_WORD, _NETWORK + _SOURCE_6, 0, 0),
-        (_REMAINDER, QUEUES, 0, 0),
-        (_RETURN, 0, 0, 0),
+    (
+        instruction(_BYTE, _NETWORK),
+        instruction(_SHIFT, 4),
+        instruction(EQUAL, 4, 0, 2),
+        instruction(LOAD_WORD, _NETWORK + _SOURCE),
+        instruction(GO, 1),
+        instruction(LOAD_WORD, _NETWORK + _SOURCE_6),
+        instruction(_REMAINDER, QUEUES),
+        instruction(_RETURN),
     )
 )
 """Returns the number of the queue: the address, or its last four bytes, modulo the number of queues."""
@@ -85,10 +83,8 @@ def beside(first: socket.socket) -> list[socket.socket]:
 
 def divide(first: socket.socket) -> None:
     """Let the kernel choose among the sockets at a port, which all listen, by the source of a connection."""
-    buffer = ctypes.create_string_buffer(_PROGRAM, len(_PROGRAM))
-    described = struct.pack("@HP", len(_PROGRAM) // _INSTRUCTION.size, ctypes.addressof(buffer))
     try:
-        first.setsockopt(socket.SOL_SOCKET, _SO_ATTACH_REUSEPORT_CBPF, described)
+        attach(first, _SO_ATTACH_REUSEPORT_CBPF, _PROGRAM)
     except OSError as error:
         _logger.info("the queues of a port are not divided by address: %s", error)
 

@@ -7,12 +7,13 @@ network carries, does not keep those of the agents out. It needs no privilege (L
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import logging
 import socket
-import struct
 from collections.abc import Collection
 from dataclasses import dataclass
+
+from understudy.kernel_programs import EQUAL, GO, LOAD_WORD, instruction
+from understudy.kernel_programs import attach as attach_program
 
 _logger = logging.getLogger(__name__)
 
@@ -22,9 +23,8 @@ while one replaces the other."""
 
 _SO_ATTACH_FILTER = getattr(socket, "SO_ATTACH_FILTER", 26)
 _SO_DETACH_FILTER = getattr(socket, "SO_DETACH_FILTER", 27)
-_INSTRUCTION = struct.Struct("=HBBI")
-_LENGTH, _WORD, _EQUAL, _GO, _RETURN = 0x80, 0x20, 0x15, 0x05, 0x06
-"""Codes of classic BPF: load the length, load a word, compare, jump, return."""
+_LENGTH, _RETURN = 0x80, 0x06
+"""Codes of instructions: load the length, return."""
 
 _UDP = 8
 """Bytes of the header of UDP, with which what a filter sees begins."""
@@ -42,37 +42,31 @@ class Form:
 
 def program(forms: Collection[Form]) -> bytes:
     """Return a program that admits the datagrams of these forms and no others. No two have the same length."""
-    whole = [_instruction(_LENGTH)]
+    whole = [instruction(_LENGTH)]
     for form in forms:
-        body = [_instruction(_WORD, _UDP), _instruction(_EQUAL, _word(form.magic), 1, 0), _DISCARD]
+        body = [instruction(LOAD_WORD, _UDP), instruction(EQUAL, _word(form.magic), 1, 0), _DISCARD]
         names = form.names if len(form.names) <= MOST_NAMES else ()
-        body += [_instruction(_WORD, _UDP + len(form.magic))] if names else []
+        body += [instruction(LOAD_WORD, _UDP + len(form.magic))] if names else []
         for name in names:
-            body += [_instruction(_EQUAL, _word(name[:4]), 0, 1), _ADMIT]
+            body += [instruction(EQUAL, _word(name[:4]), 0, 1), _ADMIT]
         body.append(_DISCARD if names else _ADMIT)
         # A comparison jumps over 255 instructions at most.
-        whole += [_instruction(_EQUAL, _UDP + form.length, 1, 0), _instruction(_GO, len(body)), *body]
+        whole += [instruction(EQUAL, _UDP + form.length, 1, 0), instruction(GO, len(body)), *body]
     return b"".join([*whole, _DISCARD])
 
 
 def attach(sock: socket.socket, code: bytes) -> None:
     """Let a socket receive only what a program admits, instead of what an earlier one did."""
-    buffer = ctypes.create_string_buffer(code, len(code))
-    described = struct.pack("@HP", len(code) // _INSTRUCTION.size, ctypes.addressof(buffer))
     try:
-        sock.setsockopt(socket.SOL_SOCKET, _SO_ATTACH_FILTER, described)
+        attach_program(sock, _SO_ATTACH_FILTER, code)
     except OSError as error:  # such as in a sandbox that has no filters
         _logger.info("the kernel does not filter datagrams (%s): a flood may keep others out", error)
         with contextlib.suppress(OSError):  # there is none
             sock.setsockopt(socket.SOL_SOCKET, _SO_DETACH_FILTER, 0)
 
 
-def _instruction(code: int, value: int = 0, if_true: int = 0, if_false: int = 0) -> bytes:
-    return _INSTRUCTION.pack(code, if_true, if_false, value)
-
-
 def _word(text: bytes) -> int:
     return int.from_bytes(text, "big")
 
 
-_ADMIT, _DISCARD = _instruction(_RETURN, 0xFFFFFFFF), _instruction(_RETURN, 0)
+_ADMIT, _DISCARD = instruction(_RETURN, 0xFFFFFFFF), instruction(_RETURN, 0)
