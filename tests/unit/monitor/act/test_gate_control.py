@@ -102,6 +102,20 @@ async def test_a_commit_that_ends_the_recovery_of_another_monitor_keeps_the_pods
     assert [pod.name for pod in following.failed] == [FAILED.name, THIRD.name], "not the one that it lets through"
 
 
+async def test_a_commit_keeps_the_pods_that_failed_in_another_monitors_part_of_the_same_recovery(
+    client: MemoryClient, found: ClusterView, tmp_path: Path
+) -> None:
+    gate, progress = await open_gate(client, found, tmp_path, FAILED), recovery()
+    progress.monitor = PodIdentity(name="monitor-1", uid="m1")
+    await gate.commit(None, progress)
+    successor = PodIdentity(name="monitor-2", uid="m2")
+    successors = progress.model_copy(update={"monitor": successor, "failed": list(progress.failed)})
+    progress.fail(PodIdentity(name=STANDBY.name, uid=STANDBY.uid))
+    await gate.commit(None, progress)  # carried out after the successor has read the record
+    await gate.commit(THIRD, successors)
+    assert [pod.name for pod in successors.failed] == [FAILED.name, STANDBY.name]
+
+
 async def test_a_recovery_does_not_shut_out_a_pod_that_it_is_not_about(
     client: MemoryClient, found: ClusterView, tmp_path: Path
 ) -> None:

@@ -469,8 +469,13 @@ async def _judged_again(progress: Progress) -> None:
 
 
 def _adopt_failures(progress: Progress, other: Progress | None, target_uid: str) -> None:
-    """Add the pods that failed in another monitor's recovery, which a commit ends: no other record has them, and they are to be deleted."""
-    if other is not None and other.id != progress.id and other.result == "Running":
+    """Add the pods that failed in a recovery that a commit ends, or in another monitor's part of the same recovery.
+
+    No other record has them, and they are to be deleted.
+    """
+    if other is None or other.result != "Running":
+        return
+    if (other.id, other.monitor) != (progress.id, progress.monitor):
         for pod in other.failed:
             if pod.uid != target_uid:
                 progress.fail(pod)
