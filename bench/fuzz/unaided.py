@@ -20,7 +20,6 @@ from tests.unit.controller import world
 from understudy.api import moments, names
 from understudy.api.kinds import switchover_spec
 from understudy.api.kinds.failure_policy import FailurePolicySpec, in_force
-from understudy.api.kinds.procedure_spec import Procedure
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.schema.definitions import root
 from understudy.api.schema.printed_kinds import KINDS
@@ -38,11 +37,11 @@ from understudy.kube.client import CONFIG_MAPS, POLICIES, POOLS, WORKLOADS, Obje
 from understudy.kube.decoding import bounded, decode
 from understudy.kube.gates.base import GateRecord
 from understudy.monitor.observe.objects import long_trees
+from understudy.monitor.observe.objects.cluster_view import unloadable
 from understudy.trees.core.health_tree import HealthTree
 from understudy.trees.core.observations import RecordedObservations
 from understudy.trees.core.snapshots import snapshot
 from understudy.trees.languages.notations import load_inline, load_monitoring
-from understudy.trees.languages.procedure_notations import compose
 from understudy.trees.languages.tree_check import TreeText, Verdict, check
 from understudy.trees.source.problems import TreeError
 
@@ -209,19 +208,18 @@ def _workload(trial: Trial, item: Object) -> None:
         status = verdicts.of("status of a workload", around.status)
         trial.step("status as JSON", lambda status=status: json.dumps(status))
         item["status"] = status or {}
-    trial.step("spec in the monitor", lambda: _followed(RobotWorkloadSpec.model_validate(item["spec"])))
+    if long_trees.unaccepted(item):
+        return  # a monitor does not read it
+    spec = trial.step("spec in the monitor", lambda: RobotWorkloadSpec.model_validate(item["spec"]))
+    if spec is not None:
+        procedures = long_trees.procedures_of(spec)
+        _read_ahead(trial, procedures)
+        trial.step("procedures in the monitor", lambda: unloadable(procedures))
 
 
-def _followed(spec: RobotWorkloadSpec) -> None:
-    _composed(
-        ("bringUp", spec.bring_up), *((f"dependsOn[{i}]", one.procedure) for i, one in enumerate(spec.depends_on))
-    )
-
-
-def _composed(*found: tuple[str, Procedure | None]) -> None:
-    for path, procedure in found:
-        if procedure is not None:
-            compose(procedure.form, procedure.tree, check=False, path=path)
+def _read_ahead(trial: Trial, trees: long_trees.Trees) -> None:
+    """Do what a monitor does in another thread."""
+    trial.step("trees ahead", lambda: long_trees.read(trees), most=tree_verdicts.MOST_SECONDS)
 
 
 def _policy(trial: Trial, item: Object, config_maps: Mapping[str, Object] | None = None) -> None:
@@ -246,7 +244,8 @@ def _policy(trial: Trial, item: Object, config_maps: Mapping[str, Object] | None
     spec = trial.step("policy in the monitor", lambda: in_force(policy_reader.spec(item), item.get("status")))
     if spec is None:
         return
-    trial.step("recoveries in the monitor", lambda: _composed(*spec.recoveries))
+    _read_ahead(trial, long_trees.of_policy(spec))
+    trial.step("procedures in the monitor", lambda: unloadable(spec.recoveries))
     trees = [trial.step("health tree in the monitor", lambda: load_monitoring(spec.monitoring))]
     inline = [one.when for one in spec.situations if one.when.languages]
     trees += [

@@ -367,9 +367,22 @@ class FailurePolicySpec(Model):
         return found
 
     @property
-    def recoveries(self) -> list[tuple[str, Procedure | None]]:
+    def recoveries(self) -> list[tuple[str, Procedure]]:
         """The procedures of all strategies, each with its path in the spec."""
-        return [(f"{path}.recovery", one.recovery) for path, one in self.everywhere]
+        return [(f"{path}.recovery", one.recovery) for path, one in self.everywhere if one.recovery is not None]
+
+    @property
+    def inline_trees(self) -> list[tuple[str, Written]]:
+        """The trees of situations and of ``degraded``, each with its path in the spec."""
+        found: list[tuple[str, Written]] = [
+            (f"situations[{i}].when", one.when) for i, one in enumerate(self.situations) if one.when.languages
+        ]
+        if self.degraded is not None:
+            found.append(("degraded.monitoring", self.degraded.monitoring))
+            for i, action in enumerate(self.degraded.actions):
+                if action.reschedule is not None and action.reschedule.idle is not None:
+                    found.append((f"degraded.actions[{i}].reschedule.idle", action.reschedule.idle))
+        return found
 
 
 class TreeInForce(Model):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 
 from pydantic import ValidationError
 
@@ -46,7 +46,7 @@ def problem(policy: Object, config_maps: Mapping[str, Object]) -> Problem | None
         return tree
     grace = seconds(parsed.monitoring.startup_grace)
     first = [tree or _health_tree(parsed.monitoring, "spec.monitoring", grace)]
-    first += [_health_tree(inline, path, grace) for path, inline in _inline_trees(parsed)]
+    first += [_health_tree(inline, f"spec.{path}", grace) for path, inline in parsed.inline_trees]
     return tree_verdicts.problem(first, _procedures((f"spec.{path}", one) for path, one in parsed.recoveries))
 
 
@@ -67,19 +67,6 @@ def _procedures(found: Iterable[tuple[str, Procedure | Check | None]]) -> list[T
 
 def _health_tree(tree: Written | Monitoring, path: str, grace: float) -> TreeText:
     return TreeText("health", tree.form, json.dumps(tree.tree), f"{path}.{tree.form}", grace)
-
-
-def _inline_trees(parsed: FailurePolicySpec) -> Iterator[tuple[str, Written]]:
-    """Yield the trees of ``spec.situations`` and ``spec.degraded`` with their paths."""
-    for index, situation in enumerate(parsed.situations):
-        if situation.when.languages:
-            yield f"spec.situations[{index}].when", situation.when
-    if parsed.degraded is None:
-        return
-    yield "spec.degraded.monitoring", parsed.degraded.monitoring
-    for index, action in enumerate(parsed.degraded.actions):
-        if action.reschedule is not None and action.reschedule.idle is not None:
-            yield f"spec.degraded.actions[{index}].reschedule.idle", action.reschedule.idle
 
 
 def named_pools(policy: Object) -> list[str]:

@@ -45,6 +45,10 @@ class Wakeups:
         """Report that a workload that this one depends on has a new status or gate."""
         self.evaluation.set()
 
+    def trees_read(self) -> None:
+        """Report that the trees of a changed object were read, so that it can be followed."""
+        self.evaluation.set()
+
     def agent_reported(self) -> None:
         """Report that an agent sent its status, or that its connection began or ended."""
         self.evaluation.set()

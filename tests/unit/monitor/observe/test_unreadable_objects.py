@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import threading
 from typing import Any
 
 import pytest
@@ -12,8 +14,15 @@ from tests.unit.kube.memory import MemoryClient
 from understudy.api import names
 from understudy.kube.client import CONFIG_MAPS, Object, Part
 from understudy.kube.watched_collection import Reflector
+from understudy.monitor.observe.objects import long_trees
 from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.wakeups import Wakeups
+from understudy.trees.languages import procedure_notations
+from understudy.trees.languages.notations import load_monitoring
+from understudy.trees.languages.osc import grammar
+from understudy.trees.languages.procedure_notations import composed
+
+PROCEDURE = 'import osc.understudy\nscenario bring_up:\n    do serial:\n        wait_for("/scan", "sensor_msgs/msg/LaserScan")\n'
 
 
 @pytest.fixture
@@ -29,9 +38,9 @@ def view() -> ClusterView:
     return found
 
 
-def change(copy: Reflector, item: Object, levels: int = 0) -> None:
+def change(copy: Reflector, item: Object, levels: int = 0, version: str = "99") -> None:
     """Report a later version of an object, as the monitor's client reads it."""
-    item["metadata"]["resourceVersion"] = "99"
+    item["metadata"]["resourceVersion"] = version
     (found,) = Part.of(list_of("X", [text(item, levels)]).encode()).items()
     copy.apply_event("MODIFIED", found)
 
@@ -90,6 +99,65 @@ def test_a_long_tree_is_followed_once_the_operator_has_judged_it(view: ClusterVi
     view.policies.apply_event("MODIFIED", judged)
     assert view.policy is not None
     assert view.policy.monitoring.osc
+
+
+@pytest.fixture
+def parsing(monkeypatch: pytest.MonkeyPatch) -> set[int]:
+    """The threads in which OpenSCENARIO is parsed from now on."""
+    found, parsed = set[int](), grammar._parsed
+    grammar.parse.cache_clear()
+    procedure_notations._composed.cache_clear()
+
+    def noting(*arguments: Any) -> grammar.Part:
+        found.add(threading.get_ident())
+        return parsed(*arguments)
+
+    monkeypatch.setattr(grammar, "_parsed", noting)
+    return found
+
+
+async def test_accepted_long_trees_are_parsed_by_another_thread(
+    view: ClusterView, parsing: set[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It takes up to 0.3 s, in which the event loop would do nothing else."""
+    policy, spec = view.policy, view.spec
+    assert spec is not None
+    async with asyncio.TaskGroup() as group:
+        monkeypatch.setattr(view, "_group", group)
+        view._referred = spec.failure_policy_ref.name  # its watch runs elsewhere
+        change(view.policies, long_policy(**accepted("Accepted")))
+        change(view.workloads, world.workload(bringUp={"osc": PROCEDURE}, pause={"reason": "a", "owner": "b"}))
+        assert view.policy is policy
+        assert view.spec is not None
+        assert (view.spec.bring_up, view.spec.pause is None) == (None, False)
+    assert view.policy is not None
+    assert view.policy.monitoring.osc
+    assert view.spec != spec
+    assert view.spec.bring_up is not None
+    composed(view.spec.bring_up, path="bringUp")
+    assert len(load_monitoring(view.policy.monitoring).topics) == 200
+    assert parsing
+    assert threading.get_ident() not in parsing
+
+
+async def test_trees_that_cannot_be_read_are_not_followed(
+    view: ClusterView, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The loop would end by an error that nobody foresaw."""
+    policy = view.policy
+    monkeypatch.setattr(long_trees, "load_inline", fail)
+    for version in ("98", "99"):
+        caplog.clear()
+        change(view.policies, long_policy(**accepted("Accepted")), version=version)
+        async with asyncio.TaskGroup() as group:
+            monkeypatch.setattr(view, "_group", group)
+            assert view.policy is policy
+        assert view.policy is policy
+        assert caplog.text.count("cannot be read") == 1
+
+
+def fail(*_: Any, **__: Any) -> None:
+    raise RuntimeError
 
 
 def test_a_pause_applies_although_a_long_tree_beside_it_is_not_accepted(view: ClusterView) -> None:

@@ -32,23 +32,18 @@ the operator does not accept a spec that names another policy. The monitor must 
 """
 
 
-def unloadable(*procedures: tuple[str, Procedure | None]) -> str | None:
-    """Return the first error in the trees of procedures, each given with its name for messages; None if all trees load."""
-    for name, procedure in procedures:
-        if procedure is not None:
-            try:
-                composed(procedure, path=name)
-            except TreeError as error:
-                return error.in_short()
+def unloadable(procedures: Sequence[tuple[str, Procedure]]) -> str | None:
+    """Return the first error in the trees of procedures, each given with its path for messages; None if all trees load."""
+    for path, procedure in procedures:
+        try:
+            composed(procedure, path=path)
+        except TreeError as error:
+            return error.in_short()
     return None
 
 
-def _unfollowable(item: Object, spec: RobotWorkloadSpec) -> str | None:
-    """Return why the spec of a workload is not used; None if it is."""
-    if long_trees.unaccepted(item):
-        return "it has long trees that the operator has not accepted"
-    trees = ((f"dependsOn[{i}].procedure", d.procedure) for i, d in enumerate(spec.depends_on))
-    return unloadable(("bringUp", spec.bring_up), *trees)
+def _version(item: Object) -> str:
+    return f"{item['metadata']['uid']} {item['metadata']['resourceVersion']}"
 
 
 def _only(name: str) -> str:
@@ -95,9 +90,10 @@ class ClusterView:
         self._policy_watch: asyncio.Task[None] | None = None
         self._waiting_watches: list[asyncio.Task[None]] = []
         self._policy: FailurePolicySpec | None = None
-        self._policy_version = ""
+        self._policy_version: tuple[str, int] = ("", 0)
+        self._policy_trees, self._workload_trees = long_trees.ReadAhead(wakeups), long_trees.ReadAhead(wakeups)
         self._followed: tuple[FailurePolicySpec | None, WorkloadSettings | None, FailurePolicySpec | None] = (None,) * 3
-        self._spec: tuple[int, RobotWorkloadSpec | None] = (-1, None)
+        self._spec: tuple[tuple[int, int], RobotWorkloadSpec | None] = ((-1, 0), None)
         self._settings: tuple[int, WorkloadSettings | None] = (-1, None)
 
     async def run(self, group: asyncio.TaskGroup) -> None:
@@ -199,24 +195,37 @@ class ClusterView:
     @property
     def spec(self) -> RobotWorkloadSpec | None:
         """The workload's spec in force: the last valid one if the present one is invalid. None if the workload is gone."""
-        if self._spec[0] != self.workloads.revision:
+        read = (self.workloads.revision, self._workload_trees.revision)
+        if self._spec[0] != read:
             item, spec = self.object, None
             if item is not None:
                 spec = self._spec[1]
                 try:
                     workload_spec = RobotWorkloadSpec.model_validate(item["spec"])
-                    if spec is None or (problem := _unfollowable(item, workload_spec)) is None:
+                    if spec is None or self._followable(item, workload_spec):
                         spec = workload_spec
                     else:
                         # A pause applies even if the rest of the spec is invalid.
                         spec = spec.model_copy(update={"pause": workload_spec.pause})
-                        _logger.error(
-                            "RobotWorkload %s cannot be followed, keeping its last spec: %s", self.workload, problem
-                        )
                 except ValidationError as error:
                     _logger.error("RobotWorkload %s cannot be read, keeping its last spec: %s", self.workload, error)
-            self._spec = (self.workloads.revision, spec)
+            self._spec = (read, spec)
         return self._spec[1]
+
+    def _followable(self, item: Object, spec: RobotWorkloadSpec) -> bool:
+        """Return whether the workload's new spec can be followed already."""
+        problem: str | None = "it has long trees that the operator has not accepted"
+        if not long_trees.unaccepted(item):
+            trees = long_trees.procedures_of(spec)
+            if not self._has_read(self._workload_trees, item, trees):
+                return False
+            problem = unloadable(trees)
+        if problem is not None:
+            _logger.error("RobotWorkload %s cannot be followed, keeping its last spec: %s", self.workload, problem)
+        return problem is None
+
+    def _has_read(self, ahead: long_trees.ReadAhead, item: Object, trees: long_trees.Trees) -> bool:
+        return self._group is None or ahead.has_read(_version(item), trees, self._group)
 
     @property
     def settings(self) -> WorkloadSettings | None:
@@ -266,35 +275,32 @@ class ClusterView:
         return self._policy
 
     def _read_policy(self, item: Object | None) -> None:
-        if item is not None and (version := item["metadata"]["uid"] + item["metadata"]["resourceVersion"]) != (
-            self._policy_version
-        ):
-            self._policy_version = version
-            if self._policy is not None and long_trees.unaccepted(item):
-                _logger.warning(
-                    "FailurePolicy %s has long trees that the operator has not accepted, keeping the last one",
-                    item["metadata"]["name"],
-                )
-                return
-            try:
-                policy_spec = in_force(FailurePolicySpec.model_validate(item["spec"]), item.get("status"))
-                if policy_spec is None:
-                    _logger.error(
-                        "FailurePolicy %s has no health tree yet, keeping the last one: see its Accepted condition",
-                        item["metadata"]["name"],
-                    )
-                elif self._policy is None or (problem := unloadable(*policy_spec.recoveries)) is None:
-                    self._policy = policy_spec
-                else:
-                    _logger.error(
-                        "FailurePolicy %s cannot be followed, keeping the last one: %s",
-                        item["metadata"]["name"],
-                        problem,
-                    )
-            except ValidationError as error:
-                _logger.error(
-                    "FailurePolicy %s cannot be read, keeping the last one: %s", item["metadata"]["name"], error
-                )
+        if item is None or (read := (_version(item), self._policy_trees.revision)) == self._policy_version:
+            return
+        self._policy_version = read
+        found = self._followable_policy(item)
+        if isinstance(found, FailurePolicySpec):
+            self._policy = found
+        elif found is not None:
+            _logger.error("FailurePolicy %s %s, keeping the last one", item["metadata"]["name"], found)
+
+    def _followable_policy(self, item: Object) -> FailurePolicySpec | str | None:
+        """Return the spec of a policy, or why it cannot be followed; None if its trees are still being read."""
+        first = self._policy is None
+        if not first and long_trees.unaccepted(item):
+            return "has long trees that the operator has not accepted"
+        try:
+            spec = in_force(FailurePolicySpec.model_validate(item["spec"]), item.get("status"))
+        except ValidationError as error:
+            return f"cannot be read: {error}"
+        if spec is None:
+            return "has no health tree yet (see its Accepted condition)"
+        if first:
+            return spec
+        if not self._has_read(self._policy_trees, item, long_trees.of_policy(spec)):
+            return None
+        problem = unloadable(spec.recoveries)
+        return spec if problem is None else f"cannot be followed: {problem}"
 
     def unclaimed(self, pool: str) -> Unclaimed:
         """Return the unclaimed pods of a shared pool."""

@@ -1,18 +1,31 @@
-"""Whether the trees of an object are texts that take long to read, and that the operator has not accepted.
+"""Trees that are texts, and may take long to read.
 
-The operator has another process read every tree, and ends it after a few seconds. The monitor reads trees itself, and follows
-nothing else meanwhile. So it waits for the operator's verdict about long texts, and does not read those that were refused.
+The operator has another process read every tree, and ends it after a few seconds. The monitor waits for the operator's verdict
+about long texts, and does not read those that were refused. It reads the others in another thread first, because its event loop
+would do nothing else meanwhile: what that thread parses is remembered.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import asyncio
+import contextlib
+import logging
+from collections.abc import Iterator, Sequence
 from typing import Any
 
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.api.kinds.procedure_spec import Procedure
+from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+from understudy.api.kinds.tree_spec import Written
 from understudy.api.nesting import DEEPEST
 from understudy.kube.client import Object
-from understudy.trees.languages.notations import TEXTS
+from understudy.monitor.observe.wakeups import Wakeups
+from understudy.trees.languages.notations import TEXTS, load_inline
+from understudy.trees.languages.procedure_notations import composed
 from understudy.trees.languages.tree_check import INVALID, TOO_COSTLY
+from understudy.trees.source.problems import TreeError
+
+_logger = logging.getLogger(__name__)
 
 LONG = 3000
 """Characters of all texts of an object together that are read within 50 ms in every language."""
@@ -42,3 +55,63 @@ def _texts(value: Any, levels: int) -> Iterator[str]:
     elif isinstance(value, list):
         for inner in value:
             yield from _texts(inner, levels - 1)
+
+
+Trees = Sequence[tuple[str, Written]]
+"""Trees with their paths for messages."""
+
+
+def of_policy(spec: FailurePolicySpec) -> Trees:
+    """Return the trees of a policy, in the order in which they are to be read: the last ones are remembered best."""
+    inline = ((f"spec.{path}", one) for path, one in spec.inline_trees)
+    return [*spec.recoveries, *inline, ("spec.monitoring", spec.monitoring)]
+
+
+def procedures_of(spec: RobotWorkloadSpec) -> Sequence[tuple[str, Procedure]]:
+    """Return the procedures of a workload."""
+    found = [(f"dependsOn[{i}].procedure", one.procedure) for i, one in enumerate(spec.depends_on)]
+    return [(path, one) for path, one in (("bringUp", spec.bring_up), *found) if one is not None]
+
+
+class ReadAhead:
+    """Reads the trees of the versions of one object in another thread."""
+
+    def __init__(self, wakeups: Wakeups) -> None:
+        self.revision = 0
+        """A value that changes whenever the trees of a version have been read."""
+        self._wakeups = wakeups
+        self._done, self._readable = "", True
+        """The version whose trees were read last, and whether they could be."""
+        self._task: asyncio.Task[None] | None = None
+
+    def has_read(self, version: str, trees: Trees, group: asyncio.TaskGroup) -> bool:
+        """Return whether the event loop may read the trees of a version. If not, they are read ahead, and then the monitor evaluates."""
+        slow = [(path, tree) for path, tree in trees if tree.form == "osc"]
+        if not slow:
+            return True
+        if version == self._done:
+            return self._readable
+        if self._task is None:
+            self._task = group.create_task(self._ahead(version, slow))
+        return False
+
+    async def _ahead(self, version: str, trees: Trees) -> None:
+        self._readable = False
+        try:
+            await asyncio.to_thread(read, trees)
+            self._readable = True
+        except Exception:  # the monitor would end by it
+            _logger.exception("trees cannot be read, and the last ones stay in use")
+        self._done, self._task = version, None
+        self.revision += 1
+        self._wakeups.trees_read()
+
+
+def read(trees: Trees) -> None:
+    """Read trees, so that reading them again is quick."""
+    for path, tree in trees:
+        with contextlib.suppress(TreeError):  # which whoever uses the tree reports
+            if isinstance(tree, Procedure):
+                composed(tree, path=path)
+            else:
+                load_inline(tree, path=path, grace=0.0)

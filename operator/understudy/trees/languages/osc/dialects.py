@@ -12,7 +12,7 @@ from understudy.trees.source import tree_kinds
 from understudy.trees.source.tree_kinds import TreeKind
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Dialect:
     """The parts of the language that trees of one kind can have."""
 
