@@ -286,7 +286,8 @@ def told(campaign: Campaign, options: Options) -> Report:
     happened.findings += [f"traceback: {one}" for one in found.tracebacks]
     own = [turn for turn in found.turns if turn.processor > 0.1]
     happened.findings += [
-        f"{turn.process} was busy for {turn.elapsed:.2f} s ({turn.processor:.2f} s processor); sent just before: {campaign.suspects(turn)}"
+        f"{turn.process} was busy for {turn.elapsed:.2f} s ({turn.processor:.2f} s processor, {turn.collected:.2f} s of it garbage "
+        f"collection); sent just before: {campaign.suspects(turn)}"
         for turn in own
     ]
     judged = [one for one in happened.sent if one.seconds is not None]

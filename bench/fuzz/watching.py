@@ -17,7 +17,9 @@ from tests.e2e.kubectl import Failed, Kubectl, Object
 from understudy.kube.client import LEASES
 
 BUSY = "understudy_event_loop_busy_seconds"
-_TURN = re.compile(r"the event loop was busy for ([0-9.]+) s, of which ([0-9.]+) s")
+_TURN = re.compile(
+    r"the event loop was busy for ([0-9.]+) s, of which ([0-9.]+) s were processor time, and ([0-9.]+) s"
+)
 START_UP = 15.0
 """Seconds after a process' first line in which it imports and reads what exists."""
 
@@ -30,6 +32,8 @@ class Turn:
     at: float
     elapsed: float
     processor: float
+    collected: float
+    """Processor time of garbage collection."""
 
 
 @dataclass
@@ -135,7 +139,7 @@ def _read_log(watched: Watched, found: Found) -> None:
             found.tracebacks.append(f"{watched.pod}: {entry.get('message', '')[:200]}: {entry['traceback'][-400:]}")
         turn = _TURN.search(str(entry.get("message", "")))
         if turn and at - (begun or at) > START_UP:
-            found.turns.append(Turn(watched.pod, at, float(turn[1]), float(turn[2])))
+            found.turns.append(Turn(watched.pod, at, *map(float, turn.groups())))
 
 
 def _unix(entry: dict[str, Any]) -> float:

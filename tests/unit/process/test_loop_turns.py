@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import logging
 import time
 
@@ -10,7 +11,7 @@ import pytest
 from prometheus_client import CollectorRegistry
 
 from understudy.process import loop_turns
-from understudy.process.loop_turns import LONG, REPORTED
+from understudy.process.loop_turns import LONG, REPORTED, Turn
 
 
 def worked(seconds: float) -> None:
@@ -20,7 +21,7 @@ def worked(seconds: float) -> None:
 
 
 def test_a_turn_that_works_is_reported_with_its_processor_time() -> None:
-    reported: list[tuple[float, float]] = []
+    reported: list[Turn] = []
 
     async def main() -> str:
         await asyncio.sleep(0)
@@ -28,37 +29,55 @@ def test_a_turn_that_works_is_reported_with_its_processor_time() -> None:
         await asyncio.sleep(0)
         return "result"
 
-    assert loop_turns.run(main(), lambda took, used: reported.append((took, used))) == "result"
-    assert max(used for _, used in reported) >= LONG
+    assert loop_turns.run(main(), reported.append) == "result"
+    assert max(turn.used for turn in reported) >= LONG
 
 
 def test_time_in_which_the_process_does_not_run_is_no_work() -> None:
-    reported: list[tuple[float, float]] = []
+    reported: list[Turn] = []
 
     async def main() -> None:
         await asyncio.sleep(0)
         time.sleep(LONG + 0.05)  # noqa: ASYNC251
         await asyncio.sleep(0)
 
-    loop_turns.run(main(), lambda took, used: reported.append((took, used)))
-    took, used = max(reported)
-    assert took >= LONG + 0.05
-    assert used < LONG
+    loop_turns.run(main(), reported.append)
+    longest = max(reported, key=lambda turn: turn.took)
+    assert longest.took >= LONG + 0.05
+    assert longest.used < LONG
+
+
+def test_garbage_collection_in_a_turn_is_named() -> None:
+    reported: list[Turn] = []
+    kept = [[number] for number in range(200_000)]
+
+    async def main() -> None:
+        await asyncio.sleep(0)
+        gc.collect()
+        worked(LONG)
+        await asyncio.sleep(0)
+
+    callbacks = list(gc.callbacks)
+    loop_turns.run(main(), reported.append)
+    assert kept
+    longest = max(reported, key=lambda turn: turn.used)
+    assert 0 < longest.collected <= longest.used - LONG
+    assert gc.callbacks == callbacks
 
 
 def test_an_idle_loop_is_not_busy() -> None:
-    reported: list[tuple[float, float]] = []
-    loop_turns.run(asyncio.sleep(4 * LONG), lambda took, used: reported.append((took, used)))
-    assert all(used < LONG for _, used in reported)
+    reported: list[Turn] = []
+    loop_turns.run(asyncio.sleep(4 * LONG), reported.append)
+    assert all(turn.used < LONG for turn in reported)
 
 
 def test_the_metric_has_both_times_and_a_long_turn_is_logged(caplog: pytest.LogCaptureFixture) -> None:
     registry = CollectorRegistry()
     report = loop_turns.reporter(loop_turns.series(registry))
     with caplog.at_level(logging.INFO):
-        report(0.3, 0.06)
+        report(Turn(0.3, 0.06))
         assert not caplog.records
-        report(0.3, REPORTED)
+        report(Turn(0.3, REPORTED, 0.04))
     assert len(caplog.records) == 1
 
     def count(time: str, le: str) -> float | None:
