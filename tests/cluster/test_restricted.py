@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from pathlib import Path
+
 import pytest
+import yaml
 
 from tests.cluster.operators import CORE, Fleet, Operator, hot, policy, spare, template, workload
 from tests.support.cluster import Cluster, Object, until
@@ -56,3 +60,32 @@ def test_an_earlier_template_that_violates_pod_security_is_reported_with_the_mis
             assert 'container "app" must set securityContext.allowPrivilegeEscalation=false' in said
             assert "understudy-agent" not in said, "the agent is within it"
             assert said.endswith("See docs/how-to/production.md")
+
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+DEVICE = "device.yaml"
+"""Makes a node's device out of a file, which needs a host path."""
+
+
+def _example_pods() -> Iterator[tuple[str, Object]]:
+    """Yield the templates of pods in the examples, each with its place."""
+    for path in sorted(EXAMPLES.glob("*/manifests/**/*.yaml")):
+        for item in yaml.safe_load_all(path.read_text()):
+            found = (item or {}).get("spec", {}).get("template")
+            if found and path.name != DEVICE:
+                yield f"{path.relative_to(EXAMPLES)} {item['metadata']['name']}", found
+
+
+def test_the_examples_are_within_it(restricted: None, cluster: Cluster, namespace: str) -> None:
+    pods = dict(_example_pods())
+    assert len(pods) >= 15
+    for number, (place, found) in enumerate(pods.items()):
+        metadata = {"name": f"example-{number}", "namespace": namespace}
+        pod = {
+            "apiVersion": "v1",
+            "kind": "Pod",
+            "metadata": metadata,
+            "spec": {"restartPolicy": "Never"} | found["spec"],
+        }
+        assert cluster.create(pod, dry_run=True), place
