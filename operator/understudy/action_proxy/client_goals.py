@@ -55,6 +55,8 @@ class Attempt:
     """The status with which it ended there."""
     after: float = 0.0
     """From when it may be tried there again."""
+    withdrawn: bool = False
+    """Whether the instance is to cancel it, because it was no longer in charge. That is no end of the goal."""
 
     @property
     def open(self) -> bool:
@@ -160,14 +162,14 @@ class Goal:
         goal.phase = Phase.ACTIVE if goal.accepted else Phase.PENDING
         return goal
 
-    def to_wire(self) -> dict[str, Any]:
-        """Return the goal as one JSON object, with times of the system's clock."""
+    def to_wire(self, step: float) -> dict[str, Any]:
+        """Return the goal as one JSON object, with times of the system's clock, which is ``step`` seconds ahead of the process's clock."""
         wire = asdict(self)
         wire["phase"] = self.phase.value
-        wire |= {name: CLOCK.to_system(wire[name]) for name in _PAST if wire[name]}
+        wire |= {name: wire[name] + step for name in _PAST if wire[name]}
         for attempt in wire["attempts"].values():
             attempt["at"] = attempt["at"].value
-            attempt["after"] = CLOCK.to_system(attempt["after"])
+            attempt["after"] += step
         return wire
 
     @classmethod

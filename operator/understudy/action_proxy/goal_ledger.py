@@ -8,8 +8,8 @@ the proxy, of an agent or of the monitor, loses a goal or causes one to be execu
   for the client.
 - A goal that has ended or is being cancelled is never sent again. A cancel that the old instance had not answered counts
   as accepted.
-- An end that no client requested is withheld while a failure is detected or a recovery is in progress, and in the first
-  moments: applications abort their goals when they receive the signal to end.
+- An end that no client requested is withheld while a failure is detected or a recovery is in progress, in the first moments, and while
+  the instance's agent is not connected: applications abort their goals when they receive the signal to end.
 - A goal that a newer one has replaced (it was aborted while the newer one continues) has ended, and is not sent again.
 """
 
@@ -139,6 +139,8 @@ class GoalLedger:
         self.goals: dict[str, Goal] = {}
         self.resent: dict[str, int] = {}
         """Number of goals that another instance took over, by action."""
+        self.connected: set[str] = set()
+        """UIDs of the instances whose agents are connected: those that have not ended."""
         self._former: set[str] = set()
         self._invited: set[str] = set()
         self._cancels: dict[RequestKey, _Cancel] = {}
@@ -205,6 +207,10 @@ class GoalLedger:
         attempt.at, attempt.status = at, status
         attempt.after = now + (AGAIN if uid == goal.charge else MIRROR_AGAIN)
         if uid != goal.charge or uid != self._active or not goal.open:
+            return
+        if attempt.withdrawn and status != SUCCEEDED:
+            if not attempt.open:
+                goal.charge = ""  # it is sent again
             return
         if at in (AttemptState.RUNNING, AttemptState.ENDED):
             self._accept(goal, now)
@@ -285,6 +291,8 @@ class GoalLedger:
                 self._give_up(goal, now)
             elif goal.charge and goal.charge != situation.active:
                 self._former |= {goal.charge} & known
+                if goal.charge in goal.attempts:
+                    goal.attempts[goal.charge].withdrawn = True
                 self._orphaned(goal, now)
 
     # -- conclusions -------------------------------------------------------------------------------------------------
@@ -320,7 +328,12 @@ class GoalLedger:
                 continue
             if goal.phase is Phase.PENDING:
                 moments.append(goal.received + UNDECIDED)
-            if goal.unasked is not None and goal.action in self._rules and self._settled:
+            if (
+                goal.unasked is not None
+                and goal.action in self._rules
+                and self._settled
+                and goal.charge in self.connected
+            ):
                 moments.append(goal.unasked_at + self._rules[goal.action].abort_grace)
             moments += [attempt.after for attempt in goal.attempts.values() if attempt.after > now]
         return min(moments, default=None)
@@ -333,7 +346,7 @@ class GoalLedger:
             if attempt is None or not attempt.open:
                 continue
             rule = self._rules.get(goal.action)
-            wanted = goal.open and (uid == goal.charge or uid in self._mirrors)
+            wanted = goal.open and not attempt.withdrawn and (uid == goal.charge or uid in self._mirrors)
             cancel = goal.phase is Phase.CANCELING or bool(goal.cancels) or not wanted
             found.append(Order(attempt.id, goal.action, rule.type if rule else "", goal.data, cancel, goal.note()))
         return found
@@ -346,15 +359,14 @@ class GoalLedger:
 
     def to_wire(self) -> dict[str, Any]:
         """Return the whole ledger as one JSON object."""
+        step = CLOCK.step()  # read once, since there may be many goals
         return {
             "workload": self._workload,
-            "goals": [goal.to_wire() for goal in self._in_order()],
+            "goals": [goal.to_wire(step) for goal in self._in_order()],
             "resent": self.resent,
             "former": sorted(self._former),
             "invited": sorted(self._invited),
-            "early": [
-                [early.action, early.id, early.request, CLOCK.to_system(early.received)] for early in self._early
-            ],
+            "early": [[early.action, early.id, early.request, early.received + step] for early in self._early],
             "cancels": [
                 {
                     "request": request,
@@ -485,7 +497,7 @@ class GoalLedger:
             and other.number > goal.number
             and other.phase is not Phase.PENDING
             and other.unasked is None
-            and (other.open or other.ended_at >= goal.unasked_at)
+            and (other.open or (other.ended_at >= goal.unasked_at and not other.unasked_at))
             for other in self.goals.values()
         )
 
@@ -514,7 +526,8 @@ class GoalLedger:
         if goal.phase is Phase.PENDING and now - goal.received >= UNDECIDED:
             self._drop(goal)
             return
-        if goal.unasked is not None and self._settled and now - goal.unasked_at >= rule.abort_grace:
+        is_certain = self._settled and goal.charge in self.connected
+        if goal.unasked is not None and is_certain and now - goal.unasked_at >= rule.abort_grace:
             self._finish(goal, goal.unasked, now)
             return
         there = goal.attempts.get(goal.charge)

@@ -34,6 +34,9 @@ _STATES = {
 class Listener(Protocol):
     """Receives what an instance reports."""
 
+    def connection_changed(self, uid: str, connected: bool) -> None:
+        """Called when the connection to the instance's agent is made, and when it has ended."""
+
     def epoch(self) -> GateEpoch:
         """Return the epoch of the gate as the monitor reported it last."""
 
@@ -65,7 +68,7 @@ class InstanceLink:
     def __init__(self, peer: Peer, workload: str, listener: Listener) -> None:
         self.peer, self._listener = peer, listener
         self._wake = asyncio.Event()
-        self._asked = False
+        self._asked = self._connected = False
         self._sent: dict[str, str] = {}
         """By id, the note with which the agent has the goal."""
         self._mine: set[str] = set()
@@ -91,6 +94,11 @@ class InstanceLink:
         """Read the orders again."""
         self._wake.set()
 
+    def ask_again(self) -> None:
+        """Ask the agent for all its goals again."""
+        self._asked = False
+        self._wake.set()
+
     async def close(self) -> None:
         """Close the connection."""
         self._task.cancel()
@@ -99,6 +107,9 @@ class InstanceLink:
         await self._link.close()
 
     def _changed(self, link: AgentLink) -> None:
+        if link.connected != self._connected:
+            self._connected = link.connected
+            self._listener.connection_changed(self.peer.uid, link.connected)
         if not link.connected:
             # Events without a connection are lost, so everything is requested again.
             self._asked = False
@@ -144,19 +155,25 @@ class InstanceLink:
 
     async def _carry_out(self) -> None:
         if not self._asked:
-            answer = await self._link.request("goals", {}, within=WITHIN)
             self._asked = True
+            try:
+                answer = await self._link.request("goals", {}, within=WITHIN)
+            except (AgentGone, AgentRefused):
+                self._asked = False
+                raise
             for found in answer.get("goals", []):
                 if found["state"] in ("waiting", "running"):
                     self._sent[found["id"]] = found.get("note", "")
                 self._listener.goal_found(self.peer.uid, found)
                 self._goal_reported(found)
-        orders = self._listener.orders(self.peer.uid)
-        for id in self._mine - {order.id for order in orders}:
+        for id in sorted(self._mine - {order.id for order in self._listener.orders(self.peer.uid)}):
             await self._link.request("cancel", {"goal": id}, within=WITHIN)
             self._mine.discard(id)
         refused: AgentRefused | None = None
-        for order in orders:
+        seen: set[str] = set()
+        # Orders change while others are sent: a goal that the instance has rejected meanwhile must not be sent again at once.
+        while (order := next((o for o in self._listener.orders(self.peer.uid) if o.id not in seen), None)) is not None:
+            seen.add(order.id)
             self._mine.add(order.id)
             try:
                 if order.cancel:

@@ -77,6 +77,7 @@ class Proxy:
 
     def place(self, situation: ControlState) -> None:
         """Apply a state of control from the monitor."""
+        before = self._ledger.situation
         self._ledger.place(situation, CLOCK.now())
         if (present := self._ledger.situation) is None or present != situation:
             return
@@ -85,6 +86,9 @@ class Proxy:
         self._rules = situation.rules
         self._serve()
         self._link(situation)
+        if before is not None and before.active != situation.active and situation.active in self._links:
+            # It may have goals of an earlier proxy, which counted for nothing while it was not active.
+            self._links[situation.active].ask_again()
         self._conclude()
 
     def report(self) -> dict[str, Any]:
@@ -125,6 +129,11 @@ class Proxy:
         return self.epoch() if self._ledger.situation is not None and is_serving else None
 
     # -- reports of instances ----------------------------------------------------------------------------------------
+
+    def connection_changed(self, uid: str, connected: bool) -> None:
+        """Record whether an instance's agent is connected."""
+        (self._ledger.connected.add if connected else self._ledger.connected.discard)(uid)
+        self._conclude()
 
     def orders(self, uid: str) -> Sequence[Order]:
         """Return the goals that an instance must have."""
@@ -284,6 +293,7 @@ class Proxy:
             now = wanted.get(uid)
             if now is None or _address(now) != _address(link.peer):
                 del self._links[uid]
+                self._ledger.connected.discard(uid)
                 self._spawn(link.close())
                 for served in self._served.values():
                     served.troubles.pop(uid, None)

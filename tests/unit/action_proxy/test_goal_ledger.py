@@ -206,6 +206,61 @@ class TestSwitch:
         assert world.results == {first: (ABORTED, "a")}
         assert world.instances["b"].starts == [second]
 
+    def test_a_goal_continues_although_its_client_cancelled_a_newer_one_that_was_aborted_with_it(
+        self, world: World
+    ) -> None:
+        first, second = world.ask(), world.ask()
+        world.want(first)
+        world.end("a", first, ABORTED)
+        world.end("a", second, ABORTED)
+        world.cancel(second)
+        world.switch("b")
+        assert world.instances["b"].starts == [first]
+        assert world.results == {}
+
+    def test_a_goal_is_sent_again_to_the_instance_that_was_told_to_cancel_it(self, world: World) -> None:
+        """If the gate closes and soon opens for the same instance, which has not answered yet. No client has asked for that end."""
+        goal = world.ask()
+        world.want(goal)
+        world.switch("", settled=False, work=False)
+        assert world.ledger.orders("a")[0].cancel
+        world.switch("a", work=False)
+        world.go()
+        assert world.instances["a"].starts == [goal, world.id_at(goal, "a")]
+        world.later(10)
+        assert world.results == {}
+        world.end("a", goal)
+        assert world.results == {goal: (SUCCEEDED, "a")}
+
+    def test_a_goal_ends_that_an_instance_has_reached_although_it_was_told_to_cancel_it(self, world: World) -> None:
+        goal = world.ask()
+        world.want(goal)
+        world.switch("", settled=False, work=False)
+        world.switch("a", work=False)
+        world.end("a", goal)
+        assert world.results == {goal: (SUCCEEDED, "a")}
+
+    def test_an_end_that_no_client_requested_is_withheld_while_the_agent_is_gone(self, world: World) -> None:
+        """The monitor may be away, or may learn late that the pod was deleted."""
+        goal = world.ask()
+        world.want(goal)
+        world.end("a", goal, ABORTED)
+        world.ledger.connected.discard("a")
+        world.later(60)
+        assert world.results == {}
+        world.switch("b")
+        assert world.instances["b"].starts == [goal]
+
+    def test_an_end_that_no_client_requested_counts_once_the_agent_is_back(self, world: World) -> None:
+        goal = world.ask()
+        world.want(goal)
+        world.end("a", goal, ABORTED)
+        world.ledger.connected.discard("a")
+        world.later(60)
+        world.ledger.connected.add("a")
+        world.go()
+        assert world.results == {goal: (ABORTED, "a")}
+
     def test_goals_that_a_failing_application_aborts_continue_in_order(self, world: World) -> None:
         goals = [world.ask() for _ in range(3)]
         for goal in goals:

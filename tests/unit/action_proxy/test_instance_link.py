@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from typing import Any
 
 import pytest
@@ -28,6 +28,7 @@ class Agent(IdleAgent):
         self.asked: list[tuple[str, str]] = []
         self.known: list[dict[str, Any]] = []
         self.refused_action = ""
+        self.on_goal: Callable[[], None] = lambda: None
         self.sessions = ControlChannel(self)
 
     def operations(self) -> Mapping[str, Operation]:
@@ -35,6 +36,7 @@ class Agent(IdleAgent):
             if body["action"] == self.refused_action:
                 raise Refused("its type is not installed")
             self.asked.append(("goal", body["goal"]))
+            self.on_goal()
 
         async def cancel(body: Mapping[str, Any], peer: Peer) -> dict[str, Any]:
             self.asked.append(("cancel", body["goal"]))
@@ -58,13 +60,17 @@ class LinkRecorder:
         self.states: list[tuple[str, AttemptState]] = []
         self.cancelled: list[str] = []
         self.taken_up: list[str] = []
+        self.connections: list[bool] = []
         self.troubles: dict[str, str] = {}
 
     def epoch(self) -> GateEpoch:
         return GateEpoch("uid", 3)
 
+    def connection_changed(self, uid: str, connected: bool) -> None:
+        self.connections.append(connected)
+
     def orders(self, uid: str) -> list[Order]:
-        return self.ordered
+        return list(self.ordered)
 
     def goal_found(self, uid: str, goal: Mapping[str, Any]) -> None:
         self.taken_up.append(goal["id"])
@@ -126,6 +132,14 @@ async def test_orders_are_sent_once_and_in_order(agent: Agent, recorder: LinkRec
     assert agent.asked == [("goals", ""), ("goal", FIRST), ("goal", SECOND), ("goal", THIRD)]
 
 
+async def test_the_connection_is_reported_when_it_is_made_and_when_it_has_ended(
+    agent: Agent, recorder: LinkRecorder, link: InstanceLink
+) -> None:
+    await eventually(lambda: recorder.connections == [True])
+    agent.sessions.abort()
+    await eventually(lambda: recorder.connections[:2] == [True, False])
+
+
 async def test_goals_that_the_agent_has_are_reported_and_not_sent_again(
     agent: Agent, recorder: LinkRecorder, link: InstanceLink
 ) -> None:
@@ -156,6 +170,31 @@ async def test_a_goal_that_is_no_longer_ordered_is_cancelled(
     recorder.ordered = []
     link.wake()
     await eventually(lambda: ("cancel", FIRST) in agent.asked)
+
+
+async def test_an_order_that_is_withdrawn_while_others_are_sent_is_not_sent(
+    agent: Agent, recorder: LinkRecorder, link: InstanceLink
+) -> None:
+    """Its instance has rejected the goal meanwhile. It would be asked for it again, and then to cancel it."""
+    recorder.ordered = [order(FIRST), order(SECOND)]
+    agent.on_goal = lambda: recorder.ordered.remove(order(SECOND)) if order(SECOND) in recorder.ordered else None
+    link.wake()
+    await eventually(lambda: ("goal", FIRST) in agent.asked)
+    recorder.ordered.append(order(THIRD))
+    link.wake()
+    await eventually(lambda: ("goal", THIRD) in agent.asked)
+    assert SECOND not in {goal for _, goal in agent.asked}
+
+
+async def test_the_goals_of_an_agent_are_asked_for_again(
+    agent: Agent, recorder: LinkRecorder, link: InstanceLink
+) -> None:
+    recorder.ordered = [order(FIRST)]
+    await eventually(lambda: ("goal", FIRST) in agent.asked)
+    agent.known = [{"id": SECOND, "state": "running", "status": 0, "result": "", "note": "note"}]
+    link.ask_again()
+    await eventually(lambda: recorder.taken_up == [SECOND])
+    assert agent.asked.count(("goal", FIRST)) == 1
 
 
 async def test_a_cancellation_is_requested_once(agent: Agent, recorder: LinkRecorder, link: InstanceLink) -> None:

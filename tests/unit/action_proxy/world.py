@@ -45,19 +45,20 @@ class World:
 
     # -- the monitor ------------------------------------------------------------------------------------------------
 
-    def switch(self, uid: str, *, settled: bool = True) -> None:
+    def switch(self, uid: str, *, settled: bool = True, work: bool = True) -> None:
         self.epoch += 1
         self.active, self.settled = uid, settled
-        self.tell()
+        self.tell(work=work)
 
     def settle(self, settled: bool = True) -> None:
         self.settled = settled
         self.tell()
 
-    def tell(self) -> None:
+    def tell(self, *, work: bool = True) -> None:
         peers = tuple(Peer(i.uid, i.uid, "", 0, "", "", i.executing) for i in self.instances.values())
         self.ledger.place(ControlState("w", self.epoch, self.active, self.settled, (self.rule,), peers), self.now)
-        self.go()
+        self.ledger.connected = set(self.instances)
+        self.go(work=work)
 
     def lose(self, uid: str) -> None:
         del self.instances[uid]
