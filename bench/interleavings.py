@@ -6,8 +6,9 @@ deaths.
 
 Each run executes the real code of monitors and operator over a modelled API server, network and cluster, in virtual
 time (tests/unit/interleavings). The seed determines everything in a run. For every three runs there is one more with
-a reflex, in which the robots' readers are modelled too; its seeds start at 1,000,000. With --seed only that run is
-made, and everything that happened is printed.
+a reflex, in which the robots' readers are modelled too, and one more with tasks, in which clients send goals to action
+proxies; their seeds start at 1,000,000 and 2,000,000. With --seed only that run is made, and everything that happened
+is printed.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 
 from bench.results import Report
-from tests.unit.interleavings import reflexes, simulation
+from tests.unit.interleavings import reflexes, simulation, tasks
 from tests.unit.interleavings.scenes import Outcome
 
 CHUNK = 100
@@ -32,7 +33,7 @@ SHOWN = 10
 """Number of failed runs that are listed."""
 
 SHARE = 3
-"""Number of runs without a reflex per run with one."""
+"""Number of runs without a reflex and without tasks per run with one of them."""
 
 UNANSWERED = ("lost", "unanswered", "unheard", "late", "gateway")
 """The fates of requests after which the sender does not know whether they were carried out."""
@@ -47,22 +48,28 @@ class Chunk:
     """By seed."""
     counts: Counter[str] = field(default_factory=Counter)
     processor: float = 0.0
-    reflex: bool = False
+    kind: str = ""
+    """``reflex`` or ``tasks``; empty for runs without them."""
+
+
+def kind(seed: int) -> str:
+    """Return the kind of a seed's run."""
+    return "tasks" if seed >= tasks.FIRST else "reflex" if seed >= reflexes.FIRST else ""
 
 
 def run(seed: int, *, tracing: bool = False) -> Outcome:
     """Make the run of a seed."""
-    return (reflexes if seed >= reflexes.FIRST else simulation).run(seed, tracing=tracing)
+    return {"": simulation.run, "reflex": reflexes.run, "tasks": tasks.run}[kind(seed)](seed, tracing=tracing)
 
 
 def chunk(seeds: range) -> Chunk:
     """Make the runs of some seeds."""
-    found, begun = Chunk(len(seeds), reflex=seeds.start >= reflexes.FIRST), time.process_time()
+    found, begun = Chunk(len(seeds), kind=kind(seeds.start)), time.process_time()
     for seed in seeds:
         outcome = run(seed)
         if outcome.faults:
             found.faults[seed] = outcome.faults[0]
-        found.counts += Counter(outcome.requests) + Counter(outcome.reflex)
+        found.counts += Counter(outcome.requests) + Counter(outcome.reflex) + Counter(outcome.tasks)
         found.counts += Counter(
             steps=outcome.steps,
             claims=outcome.claims,
@@ -77,7 +84,7 @@ def chunk(seeds: range) -> Chunk:
 def told(chunks: Sequence[Chunk]) -> Report:
     """Return the report on all runs."""
     report = Report("interleavings")
-    reflexive = [c for c in chunks if c.reflex]
+    reflexive, tasked = ([c for c in chunks if c.kind == kind] for kind in ("reflex", "tasks"))
 
     def counted(name: str, *outcomes: str, unit: str, of: Sequence[Chunk] = chunks) -> None:
         report.figure(name, [sum(c.counts[o] for o in outcomes) / c.runs for c in of], unit=unit)
@@ -97,16 +104,24 @@ def told(chunks: Sequence[Chunk]) -> Report:
         counted("robots' readers that took another instance", "taken", unit="per run with a reflex", of=reflexive)
         counted("recoveries that began with it", "fell over", unit="per run with a reflex", of=reflexive)
         counted("instances held", "held", unit="per run with a reflex", of=reflexive)
+    if tasked:
+        counted("goals of clients", "sent", unit="per run with tasks", of=tasked)
+        counted("goals that ended", "ended", unit="per run with tasks", of=tasked)
+        counted("goals that another instance took over", "resumed", unit="per run with tasks", of=tasked)
     runs, steps = sum(c.runs for c in chunks), sum(c.counts["steps"] for c in chunks)
-    with_it = sum(c.runs for c in reflexive)
+    of_each = ", ".join(
+        f"{sum(c.runs for c in of)} with {name}" for name, of in (("a reflex", reflexive), ("tasks", tasked))
+    )
     return report.note(
-        "runs", f"{runs}, {with_it} with a reflex, of {steps} steps together; a value of each figure is of {CHUNK} runs"
+        "runs", f"{runs}, {of_each}, of {steps} steps together; a value of each figure is of {CHUNK} runs"
     )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("runs", type=int, nargs="?", default=10_000, help="number of runs without a reflex")
+    parser.add_argument(
+        "runs", type=int, nargs="?", default=10_000, help="number of runs without a reflex and without tasks"
+    )
     parser.add_argument("--first", type=int, default=0, metavar="SEED", help="the seed of the first run")
     parser.add_argument("--processes", type=int, default=os.cpu_count(), metavar="N")
     parser.add_argument("--seed", type=int, help="make only this run, and print everything that happens")
@@ -115,12 +130,12 @@ def main() -> None:
         outcome = run(options.seed, tracing=True)
         print(outcome)
         sys.exit(1 if outcome.faults else 0)
-    of_the_reflex = reflexes.FIRST + options.first // SHARE
+    of_others = (kind.FIRST + options.first // SHARE for kind in (reflexes, tasks))
     ranges = [
         range(first, min(end, first + CHUNK))
         for begin, end in (
             (options.first, options.first + options.runs),
-            (of_the_reflex, of_the_reflex + options.runs // SHARE),
+            *((begin, begin + options.runs // SHARE) for begin in of_others),
         )
         for first in range(begin, end, CHUNK)
     ]

@@ -119,7 +119,7 @@ class Monitor:
         self._observer: HealthObserver | None = None
         self.hindered_at = self.cut_off_at = self.recovered_at = robots.now
         """When (Unix seconds) something last kept it from noticing what its robot hears, and from acting; and its last recovery."""
-        self._is_behind, self.informed_at = False, robots.now
+        self.is_behind, self.informed_at = False, robots.now
         """Whether somebody has switched its gate and it does not know; and when (Unix seconds) it last learned of that late."""
 
     def note_hindrance(self) -> None:
@@ -133,7 +133,7 @@ class Monitor:
         if self.current.progress is not None:
             self.recovered_at = now
         gate = network.server.get("networkpolicies", (NAMESPACE, names.gate(self.workload)))
-        self._is_behind = _epoch(gate) > _epoch(self._gate)
+        self.is_behind = _epoch(gate) > _epoch(self._gate)
 
     @property
     def is_hindered(self) -> bool:
@@ -219,8 +219,8 @@ class Monitor:
     def _look(self, gate: Object | None) -> None:
         """What it knows of its gate never goes back, unless somebody has deleted the gate."""
         before, self._gate = self._gate, gate
-        if self._is_behind and _epoch(gate) > _epoch(before):
-            self._is_behind, self.informed_at = False, self._robots.now
+        if self.is_behind and _epoch(gate) > _epoch(before):
+            self.is_behind, self.informed_at = False, self._robots.now
         if before is None or gate is None or before["metadata"]["uid"] != gate["metadata"]["uid"]:
             return
         old, new = (int(found["metadata"]["resourceVersion"]) for found in (before, gate))

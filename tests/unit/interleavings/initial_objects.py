@@ -38,6 +38,9 @@ def create(scene: Scene, server: ApiServer) -> None:
         more = {"workloadRef": {"kind": scene.refers, "name": f"app-{name}"}} if scene.refers else {}
         if scene.reflex:
             more["gate"] = {"reflex": {"deadline": scene.reflex}, "robots": [ROBOTS]}
+        if scene.tasks:
+            action = {"action": "/carry", "type": "nav2_msgs/action/NavigateToPose"}
+            more["tasks"] = [action | {"onFailover": scene.tasks}]
         if scene.activates:
             more["bringUp"] = {"yaml": {"wait_for": {"node": "/controller"}}}
         items.append(world.workload(name, ros={"discovery": {"mode": "Multicast"}}, **more))

@@ -54,6 +54,7 @@ class PodAgent:
     def __init__(self, robots: Robots, found: Running, process: Process) -> None:
         self.process, self._robots, self._found = process, robots, found
         self.channel = ControlChannel(self)
+        self._goals = robots.goals(found, self.channel.publish)
         self._healthy = found.sends
         self._version = 0
         self._changed = asyncio.Event()
@@ -168,7 +169,7 @@ class PodAgent:
             "give_way": self._ignore,
             "restore": self._restore,
         }
-        found = {**own, **self._procedures.operations()}
+        found = {**own, **self._procedures.operations(), **(self._goals.operations() if self._goals else {})}
         return {name: self._seen(name, operation) for name, operation in found.items()}
 
     def _seen(self, name: str, operation: Operation) -> Operation:
@@ -223,6 +224,9 @@ class PodAgent:
         self._robots.calm(self._found.uid)
         self.notify()
 
+
+Publish = Callable[[Mapping[str, Any]], None]
+"""Sends an event to all sessions of an agent."""
 
 Commanded = Callable[[Running, str, GateEpoch, str], None]
 """Called with each command that an agent carries out: the instance, the operation, its epoch, and who has sent it."""

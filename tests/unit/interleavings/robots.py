@@ -12,9 +12,10 @@ from dataclasses import dataclass, field, replace
 from tests.unit.interleavings.apiserver import EPOCH, ApiServer, Place, stamp
 from tests.unit.interleavings.network import Network
 from tests.unit.interleavings.nodes import Nodes
-from tests.unit.interleavings.pod_agents import Commanded, PodAgent
+from tests.unit.interleavings.pod_agents import Commanded, PodAgent, Publish
 from tests.unit.interleavings.pods import PERIOD, REFERRED, Luck, Running
 from tests.unit.interleavings.scheduling import Process, VirtualLoop
+from understudy.agent.restoration.task_goals import TaskGoals
 from understudy.api import names
 from understudy.api.protocol.kept_state import KeptState
 from understudy.kube.apply import controller_of
@@ -56,6 +57,8 @@ class Robots:
     """Called with the state that an agent is given to restore."""
     started: Callable[[str, Running], None] = lambda workload, found: None
     """Called when a workload's monitor starts the held processes of a pod."""
+    goals: Callable[[Running, Publish], TaskGoals | None] = lambda found, publish: None
+    """Makes the goals of a pod's agent, if there are tasks."""
     places: Callable[[], Sequence[str]] = lambda: NODES
     """The nodes that take new pods: all, as where a template tolerates everything."""
     _waiting: dict[str, list[asyncio.Future[None]]] = field(default_factory=dict)

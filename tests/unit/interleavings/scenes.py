@@ -37,6 +37,8 @@ class Scene:
     """Whether the state of applications is kept."""
     reflex: str = ""
     """The deadline of the robots' readers; no reflex where it is empty."""
+    tasks: str = ""
+    """What happens to goals at a failover (``onFailover``); no tasks where it is empty."""
 
     @property
     def workload_names(self) -> list[str]:
@@ -82,6 +84,8 @@ class Outcome:
     requests: dict[str, int] = field(default_factory=dict)
     reflex: dict[str, int] = field(default_factory=dict)
     """Its result; None if there is none."""
+    tasks: dict[str, int] = field(default_factory=dict)
+    """Numbers of goals; empty without tasks."""
 
     def __str__(self) -> str:
         text = "\n".join([*self.trace, *(f"DOES NOT HOLD: {fault}" for fault in self.faults)])

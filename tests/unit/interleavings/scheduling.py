@@ -201,6 +201,15 @@ class VirtualLoop(asyncio.AbstractEventLoop):
     async def create_server(self, factory: Any, host: Any = None, port: Any = None, **_: Any) -> Any:  # type: ignore[override]
         return await self.tcp.serve(factory, host)
 
+    async def create_unix_connection(self, factory: Any, path: Any = None, **_: Any) -> Any:  # type: ignore[override]
+        return await self.tcp.connect(factory, str(path))
+
+    async def create_unix_server(self, factory: Any, path: Any = None, **_: Any) -> Any:  # type: ignore[override]
+        return await self.tcp.serve(factory, str(path))
+
+    def add_signal_handler(self, *_: Any) -> None:
+        return
+
     def run_in_executor(self, executor: Any, func: Callable[..., Any], *args: Any) -> asyncio.Future[Any]:  # type: ignore[override]
         done = self.create_future()
         try:

@@ -211,12 +211,14 @@ class SimulatedCluster:
         self.monitors.remove(monitor)
         if any(m.workload == monitor.workload for m in self.monitors):
             self.delete_monitor(monitor.pod.name)
+            self._monitor_pod_ended(monitor.pod.name)
         else:
             exists = (NAMESPACE, monitor.pod.name) in self.server.unlisted
             moved = self.choices.random() < 0.25 or not exists
             journal = f"other-{next(self._ids)}" if moved else self._journals[process.name]
             if moved:
                 self.delete_monitor(monitor.pod.name)
+                self._monitor_pod_ended(monitor.pod.name)
                 self.note(f"the next monitor of {monitor.workload} starts elsewhere, its journal is lost")
             self.later(0.1 + self.choices.random() * 2, self._start_again, monitor.workload, journal)
 
@@ -226,6 +228,10 @@ class SimulatedCluster:
             self.start_monitor(workload, journal)
         else:
             self.delete_monitor(_pod_of_monitor(workload, journal))
+            self._monitor_pod_ended(_pod_of_monitor(workload, journal))
+
+    def _monitor_pod_ended(self, pod: str) -> None:
+        """The processes of a monitor's pod have ended for good."""
 
     def later(self, seconds: float, work: Callable[..., object], *args: object) -> None:
         """Do something in the world after so many seconds."""

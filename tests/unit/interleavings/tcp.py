@@ -140,6 +140,9 @@ class Listener:
     sockets: tuple[()] = ()
     """There are none: connections do not wait here until they are accepted."""
 
+    def close(self) -> None:
+        return
+
 
 class Tcp:
     """All connections."""
