@@ -85,9 +85,20 @@ def sample(number: int) -> Sample:
     draw()
     kind, way, (mutated, item), depth = found[-1]
     item["metadata"]["name"] = f"{values.OWN}-{number}"
-    text = json.dumps(item, separators=(",", ":"))
-    if len(text) > MOST_BYTES:
-        text = json.dumps({**item, "spec": {}, "data": {}}, separators=(",", ":"))
-    deep = _PLACE.sub(nested(depth), text)
-    text = deep if len(deep) <= MOST_BYTES else _PLACE.sub(nested(_DEPTHS[0]), text)
+    text = _written(item) or _written({**item, "spec": {}, "data": {}}) or _written({"metadata": {}})
+    for levels in (depth, _DEPTHS[0]):
+        if text.count(PLACE) * len(nested(levels)) <= MOST_BYTES:
+            text = _PLACE.sub(nested(levels), text)
+            break
     return Sample(number, kind, way, mutated, text)
+
+
+def _written(item: dict[str, Any]) -> str:
+    """Return an object as JSON; empty if it is too large. Mutations repeat parts of it, so the whole may be larger than the memory."""
+    parts, size = list[str](), 0
+    for part in json.JSONEncoder(separators=(",", ":")).iterencode(item):
+        parts.append(part)
+        size += len(part)
+        if size > MOST_BYTES:
+            return ""
+    return "".join(parts)
