@@ -192,6 +192,18 @@ STRATEGIC = "application/strategic-merge-patch+json"
 APPLY = "application/apply-patch+yaml"
 TABLE = "application/json;as=Table;v=v1;g=meta.k8s.io,application/json"
 
+_UNPRINTABLE = re.compile("[\x7f-\x9f\u2028\u2029\ufeff\ufffe\uffff]")
+_NO_CHARACTER = re.compile("[\ud800-\udfff]")
+
+
+def encoded(body: Any) -> bytes:
+    """Return JSON that is YAML too, because the API server reads a server-side apply as YAML.
+
+    That knows no pairs of escapes for one character, such as an emoji, and takes no unprintable character that is not escaped.
+    """
+    text = _NO_CHARACTER.sub("\ufffd", json.dumps(body, ensure_ascii=False))
+    return _UNPRINTABLE.sub(lambda found: f"\\u{ord(found[0]):04x}", text).encode()
+
 
 @dataclass(frozen=True)
 class Part:
@@ -336,7 +348,7 @@ class Client:
         headers, data = {}, None
         if body is not None:
             headers["Content-Type"] = content_type
-            data = json.dumps(body).encode()
+            data = encoded(body)
         result: Object = decode(await self._ask(method, path, params, headers, data))
         return result
 

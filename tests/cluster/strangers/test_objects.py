@@ -68,3 +68,11 @@ def test_an_object_with_deeply_nested_values_is_refused_and_all_others_are_follo
         "patch", "failurepolicy", "deep", "--type=merge", "-p", '{"spec":{"monitoring":{"yaml":null,"xml":"<root/>"}}}'
     )
     until(lambda: kubectl("get", "failurepolicy", "deep", "-o", accepted).startswith("TreeInvalid"), "the correction")
+
+
+def test_a_text_with_any_character_is_quoted_in_a_condition(fleet: Fleet, operator: Operator) -> None:
+    """The API server reads what the operator applies as YAML, which takes fewer characters than JSON."""
+    tree = {"age": {"topic": "/scan", "by": "\U0001f6a7\x7f\x85\u2028\ufeff\uffff"}}
+    fleet.create(policy("Restart", name="strange", yaml=tree))
+    until(lambda: reason(fleet, "strange") == "TreeInvalid", "its verdict")
+    assert "\U0001f6a7" in fleet.condition("FailurePolicy", "strange", "Accepted")["message"]

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import pytest
+import yaml
 
 from tests.unit.kube.memory import MemoryClient
 from understudy.kube import apply
-from understudy.kube.client import SECRETS, Object
+from understudy.kube.client import SECRETS, Object, encoded
 
 
 @pytest.mark.parametrize(
@@ -62,3 +64,17 @@ async def test_an_object_of_another_owner_is_unchanged_and_reported(foreign: Obj
     with pytest.raises(apply.OwnedByOther, match=r'Secret "w-agent" exists in namespace fleet'):
         await apply.create(client, SECRETS, "fleet", owned("u1"))
     assert client.items == before
+
+
+EVERY_KIND = "\U0001f6a7 \x7f \x80 \x85 \x9f \xa0 \u2028 \ufeff \ufffe \uffff \\ \\ud83d\\udea7 \x00\x1b \" ' \t\r\n"
+
+
+def test_the_body_of_an_apply_is_yaml_whatever_characters_its_texts_have() -> None:
+    """The API server answered 400 for an emoji in a text that a condition quotes, again and again."""
+    body = {EVERY_KIND: [EVERY_KIND, {"a": EVERY_KIND}]}
+    sent = encoded(body)
+    assert yaml.load(sent, yaml.CSafeLoader) == json.loads(sent) == body
+
+
+def test_half_a_character_is_replaced_in_the_body_of_a_request() -> None:
+    assert json.loads(encoded({"a": "\ud83d!"})) == {"a": "\ufffd!"}
