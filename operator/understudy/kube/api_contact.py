@@ -13,6 +13,10 @@ from collections.abc import Iterator
 SLOW = 0.25
 """Seconds without an answer after which a request under way counts as unanswered. An API server at rest answers in some milliseconds."""
 
+LASTS = 10.0
+"""Seconds for which a request without an answer says something about the API server. While that is away, watches ask again at least that
+often. A single request may have been lost, and nobody may ask again."""
+
 JUST_BACK = 15.0
 """Seconds after an outage, or after the first answer to this process, for which the API server may not have loaded all that it needs to
 know who may do what."""
@@ -26,6 +30,8 @@ class ApiContact:
         """Since when each request is under way."""
         self._failing_since: float | None = None
         """Since when each request that ended has ended without an answer."""
+        self._failed_at = -math.inf
+        """When a request last ended without an answer."""
         self._answered_at = -math.inf
         """When a request was last answered."""
         self._back_at = -math.inf
@@ -50,6 +56,7 @@ class ApiContact:
             failed = isinstance(error, Exception) or loop.time() - asked >= SLOW
             if failed and self._answered_at <= asked:
                 self._failing_since = asked if self._failing_since is None else self._failing_since
+                self._failed_at = loop.time()
             raise
         else:
             # A process that starts does not know whether the API server has only just started too.
@@ -78,13 +85,14 @@ class ApiContact:
     @property
     def unanswered_since(self) -> float | None:
         """Since when the API server answers no request; None while it answers."""
+        now = asyncio.get_running_loop().time()
         if self._failing_since is not None:
-            return self._failing_since
+            return self._failing_since if self._asked or now - self._failed_at < LASTS else None
         if not self._asked:
             return None
         # A request that is under way while others are answered may be lost. What counts is the time without any answer.
         since = max(min(self._asked.values()), self._answered_at)
-        return since if asyncio.get_running_loop().time() - since >= SLOW else None
+        return since if now - since >= SLOW else None
 
     @property
     def just_back(self) -> bool:

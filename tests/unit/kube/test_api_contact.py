@@ -34,6 +34,18 @@ async def test_an_outage_begins_with_the_first_request_that_fails_and_ends_with_
     assert contact.unanswered_since is None
 
 
+async def test_a_request_that_was_lost_says_nothing_any_more_after_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A strategy waited for the end of an outage that was none, because nobody asked again (seed 742198)."""
+    monkeypatch.setattr(api_contact, "LASTS", 0.1)
+    contact = ApiContact()
+    await fails(contact)
+    assert contact.unanswered_since is not None
+    await asyncio.sleep(0.12)
+    assert contact.unanswered_since is None
+    with contact.asking():
+        assert contact.unanswered_since is not None, "one that is under way may be the next without an answer"
+
+
 async def test_a_request_that_takes_long_is_unanswered_while_it_is_under_way() -> None:
     contact, loop = ApiContact(), asyncio.get_running_loop()
     with contact.asking():

@@ -154,6 +154,14 @@ def _ranges(rule: Object) -> list[tuple[str, int, int]]:
     return [(one["protocol"], one["port"], one.get("endPort", one["port"])) for one in rule["ports"]]
 
 
+@pytest.mark.parametrize("text", [".nan", "l\x9fÖ", "a b", "A", "a\n", "-a", "a" * 64, "{}"])
+def test_a_record_with_a_name_that_no_pod_has_names_nobody(text: str) -> None:
+    """A repair that puts it into a selector would be refused for ever (bench fuzz)."""
+    annotations = {names.ACTIVE: text, names.ADMITTED: text, names.EPOCH: "3"}
+    found = GateRecord.of({"metadata": {"annotations": annotations, "resourceVersion": "1"}})
+    assert (found.epoch, found.active, found.admitted) == (3, "", "")
+
+
 def test_instances_reach_pods_of_their_own_namespace_except_gated_ports_and_each_other() -> None:
     spec = _standby(Reach(robots=("192.168.7.0/24",)))
     there, names_, *more = spec["egress"]

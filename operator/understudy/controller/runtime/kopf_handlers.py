@@ -101,9 +101,23 @@ class _Lines:
         yield bounded(rest.decode()).encode()
 
 
+class _NoDifferences(kopf.DiffBaseStorage):
+    """Nobody handles differences. To find them, kopf would copy every object: 0.6 s for one with 250,000 values."""
+
+    def build(self, *, body: kopf.Body, extra_fields: Any = None) -> kopf.BodyEssence:
+        return kopf.BodyEssence()
+
+    def fetch(self, *, body: kopf.Body) -> kopf.BodyEssence | None:
+        return None
+
+    def store(self, *, body: kopf.Body, patch: kopf.Patch, essence: kopf.BodyEssence) -> None:
+        return
+
+
 def settings() -> kopf.OperatorSettings:
     """Return kopf's settings for watching and nothing else."""
     made = kopf.OperatorSettings()
+    made.persistence.diffbase_storage = _NoDifferences()
     made.posting.enabled = False
     made.peering.standalone = True
     made.watching.connect_timeout = 10

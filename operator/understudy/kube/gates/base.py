@@ -14,14 +14,19 @@ with the kind as its ``GATE``.
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
 from understudy.api import names
+from understudy.api.base import OBJECT_NAME_PATTERN
 from understudy.api.whole_numbers import whole_number
 from understudy.kube.client import Client, Object, Resource
+
+LONGEST_LABEL = 63
+"""Most characters of a label's value."""
 
 
 @dataclass(frozen=True)
@@ -47,19 +52,24 @@ class GateRecord:
 
     @classmethod
     def of(cls, gate: Object) -> GateRecord:
-        """Read the record of a gate object."""
+        """Read the record of a gate object. Whoever may write the gate may have written names that no pod has: they name nobody."""
         annotations = gate["metadata"].get("annotations") or {}
         return cls(
             epoch=whole_number(annotations.get(names.EPOCH, "")) or 0,
-            active=annotations.get(names.ACTIVE, ""),
+            active=_pod_name(annotations.get(names.ACTIVE, "")),
             active_uid=annotations.get(names.ACTIVE_UID, ""),
             recovery=annotations.get(names.RECOVERY, ""),
             version=gate["metadata"]["resourceVersion"],
-            admitted=annotations.get(names.ADMITTED, ""),
+            admitted=_pod_name(annotations.get(names.ADMITTED, "")),
             admitted_uid=annotations.get(names.ADMITTED_UID, ""),
             let_through=annotations.get(names.LET_THROUGH, ""),
             fenced=whole_number(annotations.get(names.FENCED, "")) or 0,
         )
+
+
+def _pod_name(text: str) -> str:
+    """Return a name that a label can have too, which a gate selects by; empty if the text is none."""
+    return text if len(text) <= LONGEST_LABEL and re.fullmatch(OBJECT_NAME_PATTERN, text) else ""
 
 
 @dataclass(frozen=True)
