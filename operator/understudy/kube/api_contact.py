@@ -85,11 +85,11 @@ class ApiContact:
     @property
     def unanswered_since(self) -> float | None:
         """Since when the API server answers no request; None while it answers."""
+        if self._failing_since is None and not self._asked:
+            return None
         now = asyncio.get_running_loop().time()
         if self._failing_since is not None:
             return self._failing_since if self._asked or now - self._failed_at < LASTS else None
-        if not self._asked:
-            return None
         # A request that is under way while others are answered may be lost. What counts is the time without any answer.
         since = max(min(self._asked.values()), self._answered_at)
         return since if now - since >= SLOW else None

@@ -30,7 +30,7 @@ from understudy.failover import protocol
 from understudy.failover.interfaces import Instance
 from understudy.failover.progress import Progress
 from understudy.failover.strategies.base import StrategyContext
-from understudy.kube import apply, claims
+from understudy.kube import api_contact, apply, claims
 from understudy.kube.client import Client, Object
 from understudy.kube.gates.base import GateRecord
 from understudy.kube.gates.kinds.network_policy import GATE
@@ -217,7 +217,10 @@ def test_the_deletion_of_an_understudy_that_never_failed_is_detected() -> None:
 
 
 def test_a_robot_that_nobody_drives_long_after_an_outage_is_detected() -> None:
-    with mock.patch.multiple(gate_control, RETRY_FIRST=200.0, RETRY_MOST=200.0):
+    with (
+        mock.patch.object(api_contact, "LASTS", math.inf),
+        mock.patch.multiple(gate_control, RETRY_FIRST=200.0, RETRY_MOST=200.0),
+    ):
         assert found("nobody drives", EXECUTING, "api_server_is_away", weather=0.0, first=408)
 
 
