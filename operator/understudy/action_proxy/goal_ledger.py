@@ -328,12 +328,7 @@ class GoalLedger:
                 continue
             if goal.phase is Phase.PENDING:
                 moments.append(goal.received + UNDECIDED)
-            if (
-                goal.unasked is not None
-                and goal.action in self._rules
-                and self._settled
-                and goal.charge in self.connected
-            ):
+            if goal.action in self._rules and self._counts_unasked(goal):
                 moments.append(goal.unasked_at + self._rules[goal.action].abort_grace)
             moments += [attempt.after for attempt in goal.attempts.values() if attempt.after > now]
         return min(moments, default=None)
@@ -490,6 +485,10 @@ class GoalLedger:
             self._finish(goal, GoalEnd(ABORTED, ""), now)
         goal.unasked = None
 
+    def _counts_unasked(self, goal: Goal) -> bool:
+        """Whether an end that no client requested counts, once its grace is over."""
+        return goal.unasked is not None and self._settled and goal.charge in self.connected
+
     def _replaced(self, goal: Goal) -> bool:
         """Whether a newer goal continued when this one was ended."""
         return any(
@@ -526,8 +525,8 @@ class GoalLedger:
         if goal.phase is Phase.PENDING and now - goal.received >= UNDECIDED:
             self._drop(goal)
             return
-        is_certain = self._settled and goal.charge in self.connected
-        if goal.unasked is not None and is_certain and now - goal.unasked_at >= rule.abort_grace:
+        if self._counts_unasked(goal) and now - goal.unasked_at >= rule.abort_grace:
+            assert goal.unasked is not None
             self._finish(goal, goal.unasked, now)
             return
         there = goal.attempts.get(goal.charge)

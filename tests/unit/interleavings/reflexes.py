@@ -8,7 +8,6 @@ reflexinvariants.py.
 from __future__ import annotations
 
 import functools
-import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, cast
@@ -268,10 +267,4 @@ class Reflexive(Simulation):
 def run(seed: int, *, tracing: bool = False, scene: Scene | None = None, kind: type[Reflexive] = Reflexive) -> Outcome:
     """The run of a seed. What doesn't hold is in its outcome; with ``tracing`` it also tells all that happened."""
     scene = scene or SCENES[seed % len(SCENES)]
-    base = simulation.prepared(scene, Reflexive)
-    with tempfile.TemporaryDirectory() as folder:
-        made = kind(scene, seed, base, Path(folder), tracing=tracing)
-        try:
-            return made.run()
-        finally:
-            made.dispose()
+    return simulation.made(kind, scene, seed, simulation.prepared(scene, Reflexive), tracing=tracing)

@@ -158,13 +158,17 @@ def at_rest(scene: Scene, kind: type[Simulation]) -> Base:
             simulation.dispose()
 
 
-def run(seed: int, *, tracing: bool = False, scene: Scene | None = None) -> Outcome:
-    """The run of a seed. What doesn't hold is in its outcome; with ``tracing`` it also tells all that happened."""
-    scene = scene or SCENES[seed % len(SCENES)]
-    base = prepared(scene)
+def made(kind: type[Simulation], scene: Scene, seed: int, base: Base, *, tracing: bool) -> Outcome:
+    """Make a run of this kind, from its beginning to its end."""
     with tempfile.TemporaryDirectory() as folder:
-        simulation = Simulation(scene, seed, base, Path(folder), tracing=tracing)
+        simulation = kind(scene, seed, base, Path(folder), tracing=tracing)
         try:
             return simulation.run()
         finally:
             simulation.dispose()
+
+
+def run(seed: int, *, tracing: bool = False, scene: Scene | None = None) -> Outcome:
+    """The run of a seed. What doesn't hold is in its outcome; with ``tracing`` it also tells all that happened."""
+    scene = scene or SCENES[seed % len(SCENES)]
+    return made(Simulation, scene, seed, prepared(scene), tracing=tracing)

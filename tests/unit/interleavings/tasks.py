@@ -7,7 +7,6 @@ of action servers. What must hold is said in task_clients.py.
 from __future__ import annotations
 
 import asyncio
-import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -211,10 +210,4 @@ class Tasked(Simulation):
 def run(seed: int, *, tracing: bool = False, scene: Scene | None = None) -> Outcome:
     """The run of a seed. What doesn't hold is in its outcome; with ``tracing`` it also tells all that happened."""
     scene = scene or SCENES[seed % len(SCENES)]
-    base = simulation.prepared(scene, Tasked)
-    with tempfile.TemporaryDirectory() as folder:
-        made = Tasked(scene, seed, base, Path(folder), tracing=tracing)
-        try:
-            return made.run()
-        finally:
-            made.dispose()
+    return simulation.made(Tasked, scene, seed, simulation.prepared(scene, Tasked), tracing=tracing)
