@@ -124,6 +124,13 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     golden.begin(f"{item.path.stem}::{item.name}")
 
 
+def pytest_internalerror(excinfo: pytest.ExceptionInfo[BaseException]) -> None:
+    """Keep an error of pytest itself for the end of scripts/test. That of a test process contains its traceback."""
+    if "PYTEST_XDIST_WORKER" not in os.environ and (log := os.environ.get("UNDERSTUDY_INTERNAL_ERRORS")):
+        with open(log, "a") as writing:
+            writing.write(f"{str(excinfo.value)[-4000:]}\n")
+
+
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """Reports how long scripts/test took, why a test failed that was run again, and what failed before the tests began."""
     if started := os.environ.get("UNDERSTUDY_STARTED"):
