@@ -74,3 +74,34 @@ def test_a_template_cannot_have_a_volume_of_this_name() -> None:
     found = instance_pod.problem({"spec": spec}, held=False, path="spec.template")
     assert found is not None
     assert names.MEMORY_VOLUME in found
+
+
+OWN_VOLUMES = (names.MEMORY_VOLUME, names.TOKEN_VOLUME, names.AGENT_VOLUME, names.INSTANCE_PROFILES_VOLUME)
+
+
+@pytest.mark.parametrize("held", [False, True], ids=["workload", "pool"])
+@pytest.mark.parametrize("containers", ["containers", "initContainers"])
+@pytest.mark.parametrize("field", ["volumeMounts", "volumeDevices"])
+@pytest.mark.parametrize("volume", OWN_VOLUMES)
+def test_a_template_cannot_mount_the_volumes_of_the_agent(held: bool, containers: str, field: str, volume: str) -> None:
+    template = copy.deepcopy(APPLICATION)
+    data = {"name": "data", "mountPath": "/data"}
+    template["spec"]["volumes"] = [{"name": "data", "emptyDir": {}}]
+    template["spec"][containers][0][field] = [data, {"name": volume, "mountPath": "/theirs"}]
+    found = instance_pod.problem(template, held=held, path="spec.template")
+    assert found is not None
+    assert found.startswith(f"spec.template.spec.{containers}[0].{field}[1] ")
+    assert volume in found
+    template["spec"][containers][0][field] = [data]
+    assert instance_pod.problem(template, held=held, path="spec.template") is None
+
+
+@pytest.mark.parametrize("containers", ["containers", "initContainers"])
+@pytest.mark.parametrize("field", ["volumeMounts", "volumeDevices"])
+def test_mounts_of_another_type_are_reported(containers: str, field: str) -> None:
+    template = copy.deepcopy(APPLICATION)
+    for value in ("data", ["data"], {"name": names.MEMORY_VOLUME}):
+        template["spec"][containers][0][field] = value
+        found = instance_pod.problem(template, held=False, path="spec.template")
+        assert found is not None
+        assert found.startswith(f"spec.template.spec.{containers}[0].{field}")

@@ -48,6 +48,8 @@ def accepted_of_pool(template: Object) -> Object:
         (containing(args="--fast"), "containers[0].args must be a list, but is a string"),
         (containing(args=["--speed", 0.5]), "containers[0].args[1] must be a string, but is 0.5: put it in quotes"),
         (containing(lifecycle="none"), "containers[0].lifecycle must be an object, but is a string"),
+        (specifying(initContainers=[{"restartPolicy": "Always"}]), "initContainers[0].name must be a string"),
+        (specifying(initContainers=[{"name": "a", "env": {}}]), "initContainers[0].env must be a list"),
         (specifying(volumes={"maps": {}}), "spec.volumes must be a list, but is an object"),
         (specifying(tolerations=["robot"]), "spec.tolerations[0] must be an object, but is a string"),
         (specifying(affinity="none"), "spec.affinity must be an object, but is a string"),

@@ -122,6 +122,20 @@ def problem(template: Mapping[str, Any], *, held: bool, path: str, gate: GateKin
     for volume in spec.get("volumes") or []:
         if volume.get("name") in _VOLUMES:
             return f"{path}.spec.volumes has {volume['name']}, which Understudy's sidecar uses. Choose another name"
+    return _mounts_problem(spec, f"{path}.spec")
+
+
+def _mounts_problem(spec: Mapping[str, Any], at: str) -> str | None:
+    """Return which container mounts a volume of the agent, which ``build`` adds to the pod later; None if none does."""
+    for containers in ("containers", "initContainers"):
+        for number, container in enumerate(spec.get(containers) or []):
+            for field_name in ("volumeMounts", "volumeDevices"):
+                for index, mount in enumerate(container.get(field_name) or []):
+                    if mount.get("name") in _VOLUMES:
+                        return (
+                            f"{at}.{containers}[{number}].{field_name}[{index}] names {mount['name']}, a volume of Understudy's sidecar, "
+                            "which mounts it itself where the application needs it. Remove the entry, or mount a volume of your own"
+                        )
     return None
 
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 _LISTS = ("containers", "initContainers", "volumes", "tolerations", "imagePullSecrets", "topologySpreadConstraints")
-_CONTAINER_LISTS = ("env", "ports", "volumeMounts")
+_CONTAINER_LISTS = ("env", "ports", "volumeMounts", "volumeDevices")
 _PREFERRED = "preferredDuringSchedulingIgnoredDuringExecution"
 
 
@@ -22,8 +22,9 @@ def problem(template: Mapping[str, Any], path: str) -> str | None:
 def _problems(spec: Mapping[str, Any], at: str) -> Iterator[str]:
     for key in _LISTS:
         yield from _objects(spec.get(key), f"{at}.{key}")
-    for index, container in enumerate(spec.get("containers") or []):
-        yield from _container(container, f"{at}.containers[{index}]")
+    for key in ("containers", "initContainers"):
+        for index, container in enumerate(spec.get(key) or []):
+            yield from _container(container, f"{at}.{key}[{index}]")
     yield from _object(spec.get("affinity"), f"{at}.affinity")
     apart = (spec.get("affinity") or {}).get("podAntiAffinity")
     yield from _object(apart, f"{at}.affinity.podAntiAffinity")
@@ -31,6 +32,7 @@ def _problems(spec: Mapping[str, Any], at: str) -> Iterator[str]:
 
 
 def _container(container: Mapping[str, Any], at: str) -> Iterator[str]:
+    yield from _text(container.get("name"), f"{at}.name")
     for key in _CONTAINER_LISTS:
         yield from _objects(container.get(key), f"{at}.{key}")
     for key in ("command", "args"):
