@@ -102,12 +102,12 @@ class TestInstances:
         assert found.startswith("spec.template.spec")
         assert word in found
 
-    def test_a_template_with_further_interfaces_is_refused_because_they_bypass_the_gate(self) -> None:
-        annotations = {"k8s.v1.cni.cncf.io/networks": "robot-lan"}
-        template = {"metadata": {"annotations": annotations}, "spec": {"containers": [{"name": "a"}]}}
+    @pytest.mark.parametrize("annotation", ["k8s.v1.cni.cncf.io/networks", "v1.multus-cni.io/default-network"])
+    def test_a_template_with_other_networks_is_refused_because_they_bypass_the_gate(self, annotation: str) -> None:
+        template = {"metadata": {"annotations": {annotation: "robot-lan"}}, "spec": {"containers": [{"name": "a"}]}}
         found = instance_pod.problem(template, held=False, path="spec.template")
         assert found is not None
-        assert found.startswith("spec.template.metadata.annotations[k8s.v1.cni.cncf.io/networks]")
+        assert found.startswith(f"spec.template.metadata.annotations[{annotation}]")
         assert "Remove it" in found
 
 

@@ -141,6 +141,32 @@ class TestReference:
         assert "nav2" in world.condition("Accepted")["message"]
         assert not created(world.plan(), "pods")
 
+    @pytest.mark.parametrize(
+        ("metadata", "spec", "field"),
+        [
+            ({}, {"hostNetwork": True}, "spec.hostNetwork"),
+            *(
+                ({"annotations": {key: "robot-lan"}}, {}, f"metadata.annotations[{key}]")
+                for key in ("k8s.v1.cni.cncf.io/networks", "v1.multus-cni.io/default-network")
+            ),
+        ],
+        ids=["host-network", "further-networks", "default-network"],
+    )
+    def test_a_controller_whose_pods_bypass_the_gate_is_refused(
+        self, metadata: Object, spec: Object, field: str
+    ) -> None:
+        deployment = self.deployment()
+        template = deployment["spec"]["template"]
+        template["metadata"] |= metadata
+        template["spec"] |= spec
+        world = self.world(ReferencedObjects(deployment, [self.user_pod("nav2-1-x")]))
+        accepted = world.condition("Accepted")
+        assert (accepted["status"], accepted["reason"]) == ("False", "TemplateInvalid")
+        assert accepted["message"].startswith(f"Deployment nav2: spec.template.{field}")
+        plan = world.plan()
+        assert not created(plan, "pods")
+        assert not applied(plan, "networkpolicies")
+
     def test_a_second_workload_does_not_change_the_pods_of_the_first_one(self) -> None:
         # With the label of another workload the pod that drives is behind no gate that is open.
         labels = {"app": "nav", "robot": "17", names.WORKLOAD: "older", names.INSTANCE: "nav2-abc"}

@@ -142,6 +142,14 @@ class GateKind(ABC):
     def ungateable(self, template: Mapping[str, Any]) -> str:
         """Return why this kind cannot gate the outputs of pods of a template, beginning with the field; empty if it can."""
 
+    @abstractmethod
+    def ungated(self, pod: Object) -> Mapping[str, tuple[str, ...]]:
+        """Return the networks of a pod that a gate of this kind does not control, as its object shows them: each with its known addresses.
+
+        A template with such networks is refused. The pod may exist nevertheless: its controller's template was changed later, or an
+        admission webhook changed the pod.
+        """
+
     # -- What the operator creates ------------------------------------------------------------------------------------
 
     @abstractmethod

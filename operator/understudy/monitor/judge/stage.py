@@ -73,7 +73,7 @@ class JudgeStage:
         self.situations = SituationTracking(senses.observer, notices)
         self.unseen_restart = UnseenRestart(senses.observer, kept_from)
         self.reassessment = Reassessment(pods, senses.observer, self.unseen_restart)
-        interfaces = PodInterfaces(pods, senses.agents)
+        interfaces = PodInterfaces(view, pods, senses.agents)
         self.enforcement = GateEnforcement(gate, senses.probes, notices, senses.readership, interfaces)
         self.sole_driver = SoleDriver(gate, senses.probes, senses.observer, notices)
 

@@ -153,6 +153,19 @@ def test_mistakes_that_only_the_operator_refuses_are_reported() -> None:
     assert_golden("check", taken.message, "understudy-agent")
 
 
+@pytest.mark.parametrize("annotation", ["k8s.v1.cni.cncf.io/networks", "v1.multus-cni.io/default-network"])
+def test_a_template_with_networks_that_no_gate_controls_is_reported_at_its_annotation(annotation: str) -> None:
+    spec = "spec: {containers: [{name: app, image: app, command: [run]}]}"
+    template = f"template: {{metadata: {{annotations: {{{annotation}: robot-lan}}}}, {spec}}}"
+    workload = WORKLOAD.replace("workloadRef: {kind: Deployment, name: nav2}", template)
+    pool = POOL.replace("Executing", "Uninitialized").replace("perWorkload", "replicas") + f"  {template}\n"
+    for finding in (only(POLICY, workload), only(POLICY, WORKLOAD, pool)):
+        assert finding.severity == "error"
+        assert finding.field == f"spec.template.metadata.annotations[{annotation}]"
+        assert finding.place is not None
+        assert "Remove it" in finding.message
+
+
 @pytest.mark.parametrize(
     ("change", "line"),
     [

@@ -20,12 +20,10 @@ from typing import Any
 from understudy.api import names
 from understudy.kube import selectors
 from understudy.kube.client import NETWORK_POLICIES, Object, Resource
+from understudy.kube.gates import pod_networks
 from understudy.kube.gates.base import GateKind, Reach
 from understudy.kube.gates.policy_parts import addresses, network_policy, ports, protectors
 from understudy.kube.gates.probes import ProbeKeys, ProbeReceiver
-
-_NETWORKS = "k8s.v1.cni.cncf.io/networks"
-"""The annotation with which Multus and similar network plugins give a pod further interfaces."""
 
 _DNS = (53, 5353)
 """Ports of DNS servers: the usual one, and that of the pods behind it in some distributions."""
@@ -72,12 +70,23 @@ class NetworkPolicyGate(GateKind):
                 "spec.hostNetwork is true: NetworkPolicies do not apply to a pod in its node's network, so its outputs cannot be gated. "
                 "Set it to false"
             )
-        if ((template.get("metadata") or {}).get("annotations") or {}).get(_NETWORKS):
+        annotations = (template.get("metadata") or {}).get("annotations") or {}
+        if annotations.get(pod_networks.NETWORKS):
             return (
-                f"metadata.annotations[{_NETWORKS}] gives the pod further interfaces, and NetworkPolicies apply to that of the pod "
-                "network only: a standby could reach the robot by another one. Remove it, and reach the robot by the pod network"
+                f"metadata.annotations[{pod_networks.NETWORKS}] gives the pod further interfaces, and NetworkPolicies apply to that of "
+                "the pod network only: a standby could reach the robot by another one. Remove it, and reach the robot by the pod network"
+            )
+        if annotations.get(pod_networks.DEFAULT_NETWORK):
+            return (
+                f"metadata.annotations[{pod_networks.DEFAULT_NETWORK}] connects the pod to another network instead of the pod network, "
+                "and NetworkPolicies may not apply there: a standby could reach the robot by it. Remove it, and reach the robot by the "
+                "pod network"
             )
         return ""
+
+    def ungated(self, pod: Object) -> Mapping[str, tuple[str, ...]]:
+        """Return the network of the pod's node if the pod uses it, and networks besides the pod network that annotations name."""
+        return pod_networks.ungated(pod)
 
     def closed(self, workload: str, reach: Reach, *, epoch: int, fenced: int = 0) -> Object:
         """Return a policy that selects no pod."""
