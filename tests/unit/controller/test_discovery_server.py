@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 
 import pytest
 
-from tests.unit.controller.world import World, applied, hot, pod, policy, workload
+from tests.unit.controller.world import World, applied, created, hot, pod, policy, workload
 from understudy.api import names
 from understudy.controller.plan import Delete, Patch
 from understudy.kube.client import EVICTION, Object
@@ -41,6 +41,19 @@ def marked(server: Object, beside: str) -> Object:
     found = copy.deepcopy(server)
     found["metadata"]["annotations"] = {names.BESIDE: beside}
     return found
+
+
+def test_the_server_prefers_a_node_without_an_instance_of_its_workload(world: World) -> None:
+    template = applied(world.plan(), "deployments")["w-discovery"]["spec"]["template"]
+    (term,) = template["spec"]["affinity"]["podAntiAffinity"]["preferredDuringSchedulingIgnoredDuringExecution"]
+    assert term["weight"] == 100, "no other preference outweighs it"
+    assert term["podAffinityTerm"]["topologyKey"] == "kubernetes.io/hostname"
+    avoided = term["podAffinityTerm"]["labelSelector"]["matchLabels"].items()
+    (standby,) = created(World(workload(), policy("hot"), hot()).plan(), "pods")
+    active = applied(world.plan(), "replicasets")["w"]["spec"]["template"]
+    assert avoided <= active["metadata"]["labels"].items()
+    assert avoided <= standby["metadata"]["labels"].items()
+    assert not avoided <= template["metadata"]["labels"].items(), "it does not avoid its own predecessor"
 
 
 def test_a_server_learns_beside_which_one_on_a_lost_node_it_began(world: World) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import re
 import time
 from collections.abc import Sequence
@@ -350,6 +351,31 @@ async def test_a_drain_waits_for_a_standby_on_a_node_that_is_not_drained() -> No
     assert (found.target.name, found.progress.reason) == ("w-3", "node node-1 is being drained (it is cordoned)")
     await scene.switch(found)
     assert await scene.looked(0.05) is None, "who drives now runs elsewhere"
+
+
+class CountedFallback(ExecutingFallback):
+    """Counts how often an understudy is prepared with it."""
+
+    tries = 0
+
+    async def make_ready(self, *arguments: Any, **more: Any) -> Instance:
+        self.tries += 1
+        return await super().make_ready(*arguments, **more)
+
+
+async def test_a_drain_that_waits_is_logged_and_reported_once_however_often_it_is_tried(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    caplog.set_level(logging.INFO, logger="understudy")
+    fallback = CountedFallback("hot")
+    scene = Scene(fallback, ready=False)
+    scene.drain("node-1")
+    assert await scene.looked(0.3) is None
+    assert fallback.tries > 3
+    assert scene.notices.phase == "Waiting"
+    assert scene.notices.reasons == ["SwitchoverBegun"]
+    assert len(caplog.messages) <= 1
+    assert not any("prepares nothing" in message for message in caplog.messages)
 
 
 async def test_a_drain_applies_only_to_the_instance_that_it_names() -> None:
