@@ -18,7 +18,7 @@ BEFORE = 0.05
 """Seconds besides a period of its samples for which another instance was heard before it counts that a recovery is verified."""
 
 JUST_NOW = 0.2
-"""Seconds after a sample of an instance in which its robot receives no safe command."""
+"""Minimum seconds after a sample of an instance in which its robot receives no safe command; a period of its samples, if that is longer."""
 
 ENDED = 30.0
 """Seconds after which a second driver has ended or been fenced, if nothing prevents its monitor."""
@@ -117,7 +117,7 @@ class Drivers:
         now = self._clock()
         for found in self._heard(robot):
             last = found.last_arrival(now)
-            if last is not None and now - last < JUST_NOW:
+            if last is not None and now - last < max(JUST_NOW, found.period):
                 self._broken(f"{robot} receives a safe command, and {found.name} drives it")
 
     @property
@@ -134,7 +134,7 @@ class Drivers:
             lasts = now - max(since, says.unhindered_since) - 2 * max(found.period for found in self._heard(robot))
             is_stranger = any(found.uid not in says.knows for found in self._heard(robot))
             may_say = {"False", "Unknown"} if is_stranger else {"False"}
-            if lasts >= NOTICED and says.health == "Healthy" and not (is_stranger and says.sole == "Unknown"):
+            if lasts >= NOTICED and says.health == "Healthy":
                 self._broken(f"{says.who} says that {robot} is Healthy, and {both} drive it for {lasts:.1f} s")
             if says.sole not in may_say and min(lasts, now - says.recovered_at) >= NOTICED:
                 self._broken(f"{says.who} says SoleDriver={says.sole}, and {both} drive {robot} for {lasts:.1f} s")

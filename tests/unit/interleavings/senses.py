@@ -212,9 +212,9 @@ class Outputs:
             if found is not None and name != instance.name:
                 yield name, found
 
-    def last_from_anybody(self) -> float:
+    def heard(self) -> Sequence[tuple[float, float]]:
         self._drain()
-        return max((CLOCK.of_system(sender.last) for sender in self._observer.output_senders()), default=0.0)
+        return [(CLOCK.of_system(sender.last), sender.interval) for sender in self._observer.output_senders()]
 
     def last_from_others(self, instance: Instance) -> tuple[float, str]:
         others, heard = self._others(instance), self._observer._last

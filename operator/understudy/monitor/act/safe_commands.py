@@ -35,10 +35,17 @@ CLOSED, OPENED, DRIVEN = "fenced", "committed", ("first_output", "verified")
 acknowledged commits."""
 
 HEARD_FOR = 0.25
-"""Seconds after a sample of anybody else for which no safe command is sent, whatever the moments say.
+"""Minimum seconds after a sample of anybody else for which no safe command is sent, whatever the moments say.
 
 The gate may have opened before the API server's answer arrives, an instance may get through that should not, or another monitor may have
 replaced this one and put an instance in control that this one does not know.
+"""
+
+HEARD_FOR_MOST = 2.0
+"""The maximum of these seconds.
+
+They are twice the usual time between two samples of somebody who sends less often, because the network may still let it through after the
+fence. The maximum counts if that time is not known.
 """
 
 
@@ -108,8 +115,9 @@ def _was_closed(record: GateRecord) -> bool:
 class Outputs(Protocol):
     """What the robot receives on the outputs."""
 
-    def last_from_anybody(self) -> float:
-        """Return when a sample last arrived from anybody but this pod, by the process's clock; 0 if never."""
+    def heard(self) -> Sequence[tuple[float, float]]:
+        """Return when a sample last arrived from each sender but this pod, by the process's clock, and its :attr:`interval
+        <understudy.monitor.observe.robot.known_senders.OutputSender.interval>`."""
 
 
 class SafeCommands:
@@ -171,8 +179,11 @@ class SafeCommands:
             await asyncio.sleep(min(wait, period) if wait > 0 else 0)
 
     def _is_driven(self) -> bool:
-        """Whether somebody else was heard a moment ago."""
-        return CLOCK.now() - self._outputs.last_from_anybody() < HEARD_FOR
+        """Whether somebody else was heard so recently that it may go on."""
+        now = CLOCK.now()
+        return any(
+            now - last < max(HEARD_FOR, min(HEARD_FOR_MOST, 2 * interval)) for last, interval in self._outputs.heard()
+        )
 
     def _publish(self, commander: Commander, failing: bool) -> bool:
         """Publish once. Returns whether that failed. An error is not raised, because nobody else commands the robot and

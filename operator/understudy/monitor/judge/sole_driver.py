@@ -47,6 +47,9 @@ PERIOD = 0.2
 
 CONDITION = "SoleDriver"
 
+UNKNOWN_SENDER = "UnknownSender"
+"""The reason of conditions while a sender reaches the robot that is no known instance."""
+
 PROBES = "test packets"
 
 
@@ -185,6 +188,12 @@ def leaks(tracks: Tracks, now: float) -> tuple[Leak, ...]:
     return tuple(sorted(found.values(), key=lambda leak: leak.name))
 
 
+def strangers(tracks: Tracks, now: float) -> tuple[str, ...]:
+    """Return the senders that reach the robot and are no known instances, each with how it does."""
+    heard = (one.sign for one in tracks.values() if not one.sign.uid and one.lasts and one.is_heard(now))
+    return tuple(sorted(f"{sign.via} by {sign.name}" for sign in heard))
+
+
 def judge(tracks: Tracks, active: str, now: float) -> ConditionReport:
     """Return status, reason and message of the condition SoleDriver. ``active`` is the pod that the gate names, or empty."""
     heard = [one for one in tracks.values() if one.lasts and one.is_heard(now)]
@@ -197,12 +206,12 @@ def judge(tracks: Tracks, active: str, now: float) -> ConditionReport:
             f"Instances reach the robot although the gate does not let them through: {listed}. "
             + (f"The gate lets through {active}." if active else "The gate is closed until they are silent."),
         )
-    if heard:
-        listed = "; ".join(sorted(f"{one.sign.via} by {one.sign.name}" for one in heard))
+    if unknown := strangers(tracks, now):
         return (
             "Unknown",
-            "UnknownSender",
-            f"A sender that is no known instance of this workload reaches the robot: {listed}. It is a second driver, unless it is a tool.",
+            UNKNOWN_SENDER,
+            f"A sender that is no known instance of this workload reaches the robot: {'; '.join(unknown)}. It is a second driver, unless "
+            "it is a tool.",
         )
     return "True", "NoOtherSender", "The monitor hears nobody whom the gate does not let through."
 
@@ -233,6 +242,8 @@ class SoleDriver:
         self._listening_since = time.monotonic()
         self.leaks: Sequence[Leak] = ()
         """The instances that reach the robot and are not let through."""
+        self.strangers: Sequence[str] = ()
+        """As :func:`strangers`, as of the last update."""
         self.rightful = ""
         """The UID of the instance for which the gate was closed because of a leak; empty if it was not."""
 
@@ -244,12 +255,13 @@ class SoleDriver:
         is_other = self.track(instances, now)
         found = leaks(self._tracks, now)
         changed, self.leaks = found != self.leaks, found
+        self.strangers = strangers(self._tracks, now)
         if changed:
             self._notices.add(LeaksCounted(len(found)))
             is_other = True
         if is_other:
             self.report(now)
-        if found and self._notices.status.health == "Healthy":
+        if (found or self.strangers) and self._notices.status.health == "Healthy":
             self._notices.set(health="Degraded")
 
     def track(self, instances: Sequence[Instance], now: float) -> bool:

@@ -287,15 +287,19 @@ class AgentConnections:
         )
 
     async def _drives(self, instance: Instance, link: AgentLink) -> None:
-        """Have the agent judge an instance that is about to drive by its health tree alone. Raises AgentGone, AgentRefused."""
+        """Have the agent judge an instance that is about to drive by its health tree alone.
+
+        Raises AgentGone and AgentRefused, and NotVerified if somebody has switched the gate since.
+        """
         self._instances.setdefault(instance.uid, instance)
         self._driving[instance.uid] = instance.name
         wanted = self._configuration(instance.uid)
         if wanted is not None and self._configured.get(instance.uid) != wanted:
+            await self._wait_confirmed(self._epoch())
             self._configured[instance.uid] = wanted
             try:
                 await self._send_settings(link, wanted)
-            except (AgentGone, AgentRefused):
+            except (AgentGone, AgentRefused, asyncio.CancelledError):
                 self._configured.pop(instance.uid, None)
                 raise
 
@@ -317,7 +321,7 @@ class AgentConnections:
 
     async def probe(self, instance: Instance, duration: float) -> None:
         """Ask the instance's agent to send gate probes for ``duration`` seconds, at first 1 ms apart. Returns at once; never
-        fails."""
+        fails. Probes drive nobody, and the reflex needs them, so the API server is not asked."""
         body = {"host": self._address, "port": names.PROBE_PORT, "interval": PROBE_INTERVAL, "duration": duration}
         await self._request_soon(instance, "probe", body)
 
@@ -359,11 +363,12 @@ class AgentConnections:
 
     async def start(self, instance: Instance) -> None:
         """Start the held processes of a claimed instance with this robot's settings. May be repeated. Raises NotVerified."""
-        settings = self._view.settings
+        settings, epoch = self._view.settings, self._epoch()
         assert settings is not None, "the cluster view has started, so there are settings"
         self._crash_points.step("before start")
         while True:
             link = await self._connected(instance)
+            await self._wait_confirmed(epoch)
             try:
                 await link.start(
                     settings.container_environment, settings.ros_environment, profiles=settings.instance_profiles
@@ -386,7 +391,7 @@ class AgentConnections:
                 return _past(status.process_up_at)
 
     async def ready(self, instance: Instance) -> float:
-        """Wait until the health tree succeeds on the instance's own outputs. Returns since when it does."""
+        """Wait until the health tree succeeds on the instance's own outputs. Returns since when it does. Raises NotVerified."""
         while True:
             link = await self._connected(instance)
             try:

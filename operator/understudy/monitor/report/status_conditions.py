@@ -7,7 +7,7 @@ from understudy.monitor.act.objects.cluster import Cluster
 from understudy.monitor.act.safe_commands import SafeCommands
 from understudy.monitor.decide.initial_activation import Candidates
 from understudy.monitor.decide.strategy_options import StrategyOptions
-from understudy.monitor.judge.sole_driver import SoleDriver
+from understudy.monitor.judge.sole_driver import UNKNOWN_SENDER, SoleDriver
 from understudy.monitor.judge.stage import Judgement
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.robot.health_observer import HealthObserver
@@ -34,9 +34,10 @@ class StatusConditions:
         if verdict is None:
             return
         leaks = self._sole_driver.leaks if judgement.healthy else ()
+        strangers = self._sole_driver.strangers if judgement.healthy else ()
         self._notices.set(
             active=state.active,
-            health="Degraded" if (judgement.degraded or leaks) and judgement.healthy else verdict.state,
+            health="Degraded" if (judgement.degraded or leaks or strangers) and judgement.healthy else verdict.state,
             gate=GateStatus(epoch=state.epoch, active=state.active),
         )
         status = {"Healthy": "True", "Failed": "False", "Starting": "Unknown"}[verdict.state]
@@ -44,6 +45,9 @@ class StatusConditions:
             others = ", ".join(leak.name for leak in leaks)
             words = f"The health tree of {state.active} succeeds, but {others} reaches the robot too."
             self._notices.condition("Healthy", "False", "SeveralDrivers", words)
+        elif strangers:
+            words = f"The health tree of {state.active} succeeds, but an unknown sender reaches the robot too: {'; '.join(strangers)}."
+            self._notices.condition("Healthy", "Unknown", UNKNOWN_SENDER, words)
         else:
             self._notices.condition("Healthy", status, verdict.state, verdict.reason)
         if judgement.settled and self._notices.status.reason("Recovering") not in ("", "Recovered", "HealthyAgain"):

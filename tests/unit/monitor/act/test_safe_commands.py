@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import time
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Iterator, Sequence
 from typing import Any
 
 import pytest
@@ -345,11 +346,27 @@ async def test_a_clock_of_another_node_that_is_ahead_does_not_delay_safe_command
 class Heard(NoOutputs):
     """Somebody was heard at a time."""
 
-    def __init__(self, at: float) -> None:
-        self.at = at
+    def __init__(self, at: float, interval: float = 0.05) -> None:
+        self.at, self.interval = at, interval
 
-    def last_from_anybody(self) -> float:
-        return self.at
+    def heard(self) -> Sequence[tuple[float, float]]:
+        return [(self.at, self.interval)]
+
+
+async def test_no_safe_command_is_sent_while_a_slow_driver_is_heard() -> None:
+    """Its next sample may be on its way."""
+    for interval in (0.5, math.inf):
+        outputs = Heard(time.time(), interval)
+        async with repeated(time.time() - 1, outputs) as publisher, asyncio.timeout(20):
+            for _ in range(3):
+                await asyncio.sleep(0.5)
+                outputs.at = time.time()
+            assert publisher.sent == 0
+            silent_since = time.monotonic()
+            while not publisher.sent:
+                await asyncio.sleep(0.005)
+            expected = min(2 * interval, safe_commands.HEARD_FOR_MOST)
+            assert expected - 0.02 <= time.monotonic() - silent_since
 
 
 async def test_no_safe_command_is_sent_while_somebody_else_is_heard() -> None:

@@ -201,6 +201,14 @@ def test_a_sender_that_cannot_be_attributed_is_a_possible_second_driver() -> Non
     assert not watched.judged.leaks
 
 
+def test_a_workload_is_not_healthy_while_a_sender_that_cannot_be_attributed_drives_it_too() -> None:
+    watched = Watched()
+    watched.notices.set(health="Healthy")
+    watched.listen(topic="/cmd_vel", name="/teleop", uid="")
+    assert watched.notices.status.health == "Degraded"
+    assert watched.judged.strangers == ("/cmd_vel by /teleop",)
+
+
 def test_probes_of_a_pod_that_is_no_known_instance_are_a_possible_second_driver() -> None:
     watched = Watched()
     watched.listen(probes=True, uid="uid-stray")

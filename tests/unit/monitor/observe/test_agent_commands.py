@@ -140,15 +140,24 @@ async def test_nobody_is_commanded_while_the_api_server_does_not_answer(
 ) -> None:
     monkeypatch.setattr(module, "CONFIRMED_FOR", 0.0)
     objects.client.failing = lambda method, name: TimeoutError()
+    agents._configured.clear()
     commanding = asyncio.create_task(run(agents))
+    starting, readying = asyncio.create_task(agents.start(INSTANCE)), asyncio.create_task(agents.ready(INSTANCE))
+    configured = len(agent.epochs("configure"))
     await asyncio.sleep(2 * PROCEDURE.within)
     with pytest.raises(AgentGone, match="API server does not confirm"):
         await agents.renew_permit(INSTANCE, {"witnesses": [], "word": "Go"})
     await agents.renew_permit(INSTANCE, {"witnesses": ["10.0.0.1"]})
     assert [request["op"] for request in agent.requests if request["op"] not in ("configure", "probe")] == ["lease"]
+    assert len(agent.epochs("configure")) == configured
     objects.client.failing = lambda method, name: None
-    await commanding
+    await asyncio.gather(commanding, starting)
     assert agent.epochs("procedure") == [6], "the outage is not charged to the procedure"
+    assert agent.epochs("start") == [6]
+    async with asyncio.timeout(20):
+        while len(agent.epochs("configure")) == configured:
+            await asyncio.sleep(0.01)
+    readying.cancel()
 
 
 async def test_nobody_is_commanded_by_a_monitor_that_another_one_has_replaced(
@@ -161,7 +170,11 @@ async def test_nobody_is_commanded_by_a_monitor_that_another_one_has_replaced(
     objects.view.gates.items[names.gate("w")] = known
     with pytest.raises(NotVerified, match=r"switched meanwhile \(epoch 7\); the decision was of epoch 6"):
         await run(agents)
+    objects.view.gates.items[names.gate("w")] = known
+    with pytest.raises(NotVerified, match=r"switched meanwhile"):
+        await agents.start(INSTANCE)
     assert not agent.epochs("procedure")
+    assert not agent.epochs("start")
 
 
 async def test_an_answer_of_a_moment_ago_is_enough(

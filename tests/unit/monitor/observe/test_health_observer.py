@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 from collections.abc import Iterator
 
@@ -231,7 +232,7 @@ async def test_samples_from_before_a_clock_step_are_as_old_as_they_are_for_a_rec
     last, _ = readers.last_from_others(other)
     set_clock(monkeypatch, step)
     assert readers.last_from_others(other) == (pytest.approx(last, abs=0.01), "w-1")
-    assert readers.last_from_anybody() == pytest.approx(last, abs=0.01)
+    assert readers.heard() == [(pytest.approx(last, abs=0.01), pytest.approx(math.inf))]
     assert begun - 0.01 <= last <= CLOCK.now()
     async with asyncio.timeout(5):
         assert await readers.first_from(sender, since=begun - 0.01) == pytest.approx(last, abs=5)

@@ -74,3 +74,14 @@ def test_a_degraded_instance_is_still_healthy(
     monitor.loop.report.judged(Judgement(0.0, verdict=verdict, degraded=degraded))
     assert (monitor.notices.status.health, monitor.notices.status.active) == (health, "w-1")
     assert monitor.notices.conditions["Healthy"] == (status, state, "why")
+
+
+def test_a_healthy_instance_beside_an_unknown_sender_is_not_reported_as_healthy(monitor: GivenMonitor) -> None:
+    report = monitor.loop.report
+    report.status_conditions._sole_driver.strangers = ("/cmd_vel by /teleop",)
+    report.judged(Judgement(0.0, verdict=Verdict("Healthy", "why", "leaf", None)))
+    assert monitor.notices.status.health == "Degraded"
+    assert monitor.notices.conditions["Healthy"][:2] == ("Unknown", "UnknownSender")
+    assert "/cmd_vel by /teleop" in monitor.notices.conditions["Healthy"][2]
+    report.judged(Judgement(0.0, verdict=Verdict("Failed", "why", "leaf", None)))
+    assert monitor.notices.conditions["Healthy"] == ("False", "Failed", "why")

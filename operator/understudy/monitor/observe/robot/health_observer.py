@@ -395,16 +395,16 @@ class GatedReaders:
         last_sample, pod = max(found)
         return CLOCK.of_system(last_sample), pod
 
-    def last_from_anybody(self) -> float:
-        """Return when a sample last arrived on an output from anybody but this pod; 0 if never.
+    def heard(self) -> Sequence[tuple[float, float]]:
+        """Return when a sample last arrived on an output from each sender but this pod, and the seconds that usually pass between two.
 
         A monitor that has lost the API server does not know each instance that drives. If this pod's own samples cannot be recognized,
         because its address is an IPv6 address, only those of known instances count.
         """
         self._drain()
         own_is_known = self._observer.own_host != b""
-        found = [one.last for one in self._observer.output_senders() if one.uid or own_is_known]
-        return CLOCK.of_system(max(found)) if found else 0.0
+        senders = (one for one in self._observer.output_senders() if one.uid or own_is_known)
+        return [(CLOCK.of_system(one.last), one.interval) for one in senders]
 
     def period_of_others(self, instance: Instance) -> float:
         """Return the longest usual time in seconds between two samples of another instance on one topic; 0 if none was heard of late."""
