@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from decimal import Decimal
 
@@ -27,3 +28,13 @@ def amount(quantity: str) -> Decimal:
     if suffix[-1:].isdigit():  # an exponent
         return number.scaleb(int(suffix[1:]))
     return number * _SUFFIXES[suffix]
+
+
+def binary_quantity(number: int | Decimal) -> str:
+    """Return a number of bytes as Kubernetes writes it, such as ``2080Mi``, rounded up to whole KiB."""
+    found, suffix = math.ceil(Decimal(number) / 1024), "Ki"
+    for larger in ("Mi", "Gi"):
+        if found % 1024:
+            break
+        found, suffix = found // 1024, larger
+    return f"{found}{suffix}"

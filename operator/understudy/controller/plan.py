@@ -59,6 +59,9 @@ At rest they use 60 to 115 MB, and an agent that restored 220 MiB of state used 
 kernel ends protects nobody. It keeps a process that strangers fill, for example by DDS, from using up the memory of its node.
 """
 
+MAX_MEMORY_LIMIT = "4Gi"
+"""Default of the highest memory limit that a policy can give its monitors, which it lets keep messages and state."""
+
 UNANSWERED = "WebhookUnavailable"
 """Reason of a Problem that is not the object's own: an admission webhook for the write does not answer."""
 
@@ -98,6 +101,8 @@ class Images:
     """Who may read the metrics of monitors, as the peers of a NetworkPolicy; nobody by default."""
     memory_limit: str = MEMORY_LIMIT
     """Memory limit of each container; empty for none."""
+    max_memory_limit: str = MAX_MEMORY_LIMIT
+    """Highest memory limit of a monitor whose policy needs more."""
 
 
 def variables(environment: Mapping[str, str]) -> list[Object]:
@@ -131,9 +136,9 @@ def deployment(name: str, labels: Mapping[str, str], annotations: Mapping[str, s
     }
 
 
-def resources(images: Images, requests: Mapping[str, str], *, limited: bool = True) -> Object:
-    """Return the resources of one of Understudy's containers."""
-    limits = {"limits": {"memory": images.memory_limit}} if images.memory_limit and limited else {}
+def resources(requests: Mapping[str, str], memory_limit: str) -> Object:
+    """Return the resources of one of Understudy's containers. ``memory_limit`` is empty for none."""
+    limits = {"limits": {"memory": memory_limit}} if memory_limit else {}
     return {"requests": dict(requests), **limits}
 
 

@@ -23,6 +23,7 @@ DEPLOYMENT: Object = {
 }
 STATEFUL_SET: Object = DEPLOYMENT | {"resources": ["statefulsets"]}
 IMAGE = "registry.example/mine:1"
+MUCH: Object = {"requests": {"cpu": "8"}, "limits": {"memory": "64Gi"}}
 ROBOTS = {"robots": ["10.7.0.0/24"]}
 PEERS: Object = {"peers": [{"namespaceSelector": {}}]}
 
@@ -49,6 +50,7 @@ ATTACKS: dict[str, tuple[Object, str]] = {
     "deployment": (refers("database"), "spec.workloadRef"),
     "stateful-set": (refers("database", "StatefulSet"), "spec.workloadRef"),
     "storage": (_keeps("accounts"), "spec.state.storage.claimName"),
+    "resources": (refers(monitor={"resources": MUCH}), "spec.monitor.resources"),
 }
 """What a tenant creates, with the field that is refused."""
 
@@ -57,6 +59,17 @@ CHANGES: dict[str, tuple[Object, Object, str]] = {
     "image-beside-a-template": (workload(), {"monitor": {"image": IMAGE}}, "spec.monitor.image"),
     "image-beside-a-reference": (refers(), {"monitor": {"image": IMAGE}}, "spec.monitor.image"),
     "other-image": (refers(monitor={"image": "a"}), {"monitor": {"image": IMAGE}}, "spec.monitor.image"),
+    "resources": (workload(), {"monitor": {"resources": MUCH}}, "spec.monitor.resources"),
+    "other-resources": (
+        refers(monitor={"resources": {"limits": {"memory": "1Gi"}}}),
+        {"monitor": {"resources": MUCH}},
+        "spec.monitor.resources",
+    ),
+    "no-limit": (
+        refers(monitor={"resources": MUCH}),
+        {"monitor": {"resources": {"limits": None}}},
+        "spec.monitor.resources",
+    ),
     "robots": (workload(), {"gate": ROBOTS}, "spec.gate.robots"),
     "more-robots": (workload(gate=ROBOTS), {"gate": {"robots": ["10.7.0.0/24", "10.8.0.0/16"]}}, "spec.gate.robots"),
     "peers": (workload(), {"gate": PEERS}, "spec.gate.peers"),
@@ -76,6 +89,7 @@ HARMLESS: dict[str, tuple[Object, Object]] = {
     "pause": (workload(gate=ROBOTS), {"spec": {"pause": {"reason": "cleaning", "owner": "me"}}}),
     "reference-stays": (refers(monitor={"image": IMAGE}), {"spec": {"poolPriority": 3}}),
     "default-image": (workload(monitor={"image": IMAGE}), {"spec": {"monitor": {"image": None}}}),
+    "default-resources": (workload(monitor={"resources": MUCH}), {"spec": {"monitor": {"resources": None}}}),
     "fewer-robots": (workload(gate={"robots": ["10.7.0.0/24", "10.8.0.0/24"]}), {"spec": {"gate": ROBOTS}}),
     "no-peers": (workload(gate=PEERS), {"spec": {"gate": {"peers": []}}}),
     "resize": (spare(1), {"spec": {"replicas": 2}}),

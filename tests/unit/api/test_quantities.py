@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from understudy.api.quantities import amount
+from understudy.api.quantities import amount, binary_quantity
 
 
 @pytest.mark.parametrize(
@@ -45,3 +45,23 @@ def test_an_invalid_quantity_is_refused(text: str) -> None:
 @given(st.integers(0, 10**9))
 def test_thousandths_are_exact(thousandths: int) -> None:
     assert amount(f"{thousandths}m") * 1000 == thousandths
+
+
+@pytest.mark.parametrize(
+    ("number", "text"),
+    [
+        (1, "1Ki"),
+        (1 << 20, "1Mi"),
+        ((1 << 20) + 1, "1025Ki"),
+        (3 << 30, "3Gi"),
+        (2080 << 20, "2080Mi"),
+        (1 << 44, "16384Gi"),
+    ],
+)
+def test_bytes_are_written_with_the_largest_suffix_that_fits(number: int, text: str) -> None:
+    assert binary_quantity(number) == text
+
+
+@given(st.integers(min_value=1, max_value=2**60))
+def test_a_written_number_of_bytes_is_rounded_up_by_less_than_a_kibibyte(number: int) -> None:
+    assert 0 <= amount(binary_quantity(number)) - number < 1024

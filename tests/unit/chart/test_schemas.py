@@ -36,6 +36,7 @@ ALL_VALUES = (
     "metrics.from[0].podSelector.matchLabels.app=prometheus",
     "metrics.podMonitors.enabled=true",
     "metrics.rules.enabled=true",
+    "monitors.maxMemoryLimit=8Gi",
     "monitors.memoryLimit=2Gi",
     "monitors.priorityClassName=high",
     "operator.affinity.podAntiAffinity.requiredDuringSchedulingIgnoredDuringExecution[0].topologyKey=zone",

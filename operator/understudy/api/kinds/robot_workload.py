@@ -208,9 +208,10 @@ class MonitorSettings(Model):
     image: str | None = Field(default=None, min_length=1, max_length=512)
     """Image of the monitor. Set it if the default image does not contain your message types."""
     resources: UnknownContent | None = None
-    """Resource requests and limits of the monitor container, as in a pod. Absent: the memory limit of the chart
-    (monitors.memoryLimit), and none if spec.blackBox.memory and twice spec.state.maxBytes of the policy are half of it or
-    more."""
+    """Resource requests and limits of the monitor container, as in a pod. Whoever sets them needs the right to create
+    pods. Absent: the memory limit of the chart (monitors.memoryLimit). If spec.blackBox.memory and twice
+    spec.state.maxBytes of the policy are half of it or more, they are added to it, up to a maximum
+    (monitors.maxMemoryLimit); the condition MemorySufficient reports that."""
     diagnostics: bool = False
     """Publish the state of the workload on /diagnostics, every second and immediately when its level changes, for ROS
     tools. Health trees ignore these messages. See docs/ros-tools.md."""
@@ -533,7 +534,8 @@ class RobotWorkloadStatus(Model):
     the spec. Protected: the policy's first strategy could run now. StrategiesChosen (if the policy has a strategy
     Auto): the chosen order meets the policy's spec.requirements; the message explains it. SituationCovered (if the
     policy has situations): the strategies of the current situation are in effect; False until a pod for its first
-    strategy is ready. Monitored: the monitor watches every topic of the health tree. Healthy: the health tree succeeds.
+    strategy is ready. MemorySufficient (if the policy lets the monitor keep much): the monitor's memory limit covers
+    that. Monitored: the monitor watches every topic of the health tree. Healthy: the health tree succeeds.
     DependenciesResolved (if spec.dependsOn is set): the workloads exist, and there is no cycle. DependencyFailed: the
     workload fails, and the monitor waits because a dependency may have caused it. Degraded: the health tree succeeds,
     and the stricter tree of the policy's spec.degraded fails. Resized: the active pod has the resources that the policy

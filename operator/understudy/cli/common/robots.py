@@ -37,6 +37,7 @@ _ABOUT = {
     "Accepted": "not accepted",
     "Reconciled": "not reconciled",
     "Protected": "not protected",
+    "MemorySufficient": "memory of the monitor too low",
     "Monitored": "not fully monitored",
     "Healthy": "not healthy",
     "Degraded": "degraded",

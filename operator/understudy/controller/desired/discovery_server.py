@@ -95,7 +95,7 @@ def deployment(workload: str, images: Images, address: str) -> Object:
             {"name": names.DISCOVERY_BESIDE_VARIABLE, "value": f"{_POD}/{_BESIDE}"},
         ],
         "ports": [{"name": name, "containerPort": port, "protocol": "UDP"} for name, port in _PORTS.items()],
-        "resources": plan.resources(images, _REQUESTS),
+        "resources": plan.resources(_REQUESTS, images.memory_limit),
         "securityContext": HARDENED,
         "volumeMounts": [
             {"name": "tmp", "mountPath": "/tmp"},

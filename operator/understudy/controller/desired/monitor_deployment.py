@@ -7,9 +7,7 @@ from typing import Any
 
 from understudy.api import names
 from understudy.api.base import GROUP
-from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import MonitorSettings
-from understudy.api.quantities import amount
 from understudy.controller import plan
 from understudy.controller.desired.discovery_server import TOLERATIONS
 from understudy.controller.plan import Images, from_field, priority, pull_secrets, variables
@@ -42,19 +40,6 @@ def claimed(deployment: Object | None) -> str | None:
     return next(found, None)
 
 
-def limited(policy: FailurePolicySpec | None, deployment: Object | None, images: Images) -> bool:
-    """Return whether a monitor has the memory limit that applies if the workload sets no resources.
-
-    It has none if the policy lets it keep so much that the limit could end it. Without a valid policy, the Deployment stays as it is.
-    """
-    if policy is not None and images.memory_limit:
-        recorded = policy.black_box.memory_bytes if policy.black_box is not None else 0
-        # A state is in memory twice while it is sent to an agent.
-        return recorded + 2 * policy.state.max_bytes < amount(images.memory_limit) / 2
-    containers = deployment["spec"]["template"]["spec"]["containers"] if deployment else []
-    return not containers or "limits" in (containers[0].get("resources") or {})
-
-
 def labels(workload: str) -> dict[str, str]:
     """Return the labels of the monitor's pods."""
     return {names.COMPONENT: "monitor", names.MONITORED: workload}
@@ -71,14 +56,14 @@ def deployment(
     gate: str,
     tasks: bool = False,
     claim: str | None = None,
-    limited: bool = True,
+    memory_limit: str = "",
     apart_from: str = "",
 ) -> Object:
     """Return the monitor's Deployment. Its readers have the gated ports, so that it sees what the robot sees.
 
     ``profiles`` is the text of the profile file: if it changes, a process that has read it must restart.
     ``gate`` is the kind of the workload's gate; ``tasks`` says whether the pod has an action proxy; ``claim`` is the
-    PersistentVolumeClaim for kept state. ``limited`` is as :func:`limited` returns.
+    PersistentVolumeClaim for kept state. ``memory_limit`` applies if the settings contain no resources; empty for none.
     ``apart_from`` is an instance whose node the monitor avoids more than those of others.
     """
     fixed = {
@@ -109,7 +94,7 @@ def deployment(
             "timeoutSeconds": 2,
         },
         "livenessProbe": _alive(names.METRICS_PORT, after=60),
-        "resources": settings.resources or plan.resources(images, _REQUESTS, limited=limited),
+        "resources": settings.resources or plan.resources(_REQUESTS, memory_limit),
         "securityContext": HARDENED,
         "volumeMounts": [
             {"name": "state", "mountPath": STATE_DIR},
@@ -177,7 +162,7 @@ def _tasks(
         "env": variables(fixed),
         "ports": [{"name": "tasks", "containerPort": names.TASKS_PORT, "protocol": "TCP"}],
         "livenessProbe": _alive(names.TASKS_PORT, after=10),
-        "resources": plan.resources(images, _TASKS_REQUESTS),
+        "resources": plan.resources(_TASKS_REQUESTS, images.memory_limit),
         "securityContext": HARDENED,
         "volumeMounts": [{"name": "state", "mountPath": STATE_DIR}, dict(_TASKS_MOUNT)],
     }

@@ -17,6 +17,7 @@ from understudy.controller.desired import (
     discovery_server,
     monitor_config,
     monitor_deployment,
+    monitor_memory,
     monitor_placement,
     node_drain,
     standby_pods,
@@ -195,10 +196,10 @@ def _monitor(
     ]
     live = observed.owned.get((DEPLOYMENTS.plural, names.monitor(name)))
     if workload_plan.policy_problem is not None:
-        policy, claim = None, monitor_deployment.claimed(live)
+        claim = monitor_deployment.claimed(live)
     else:
-        policy = policy_reader.spec(observed.policies[spec.failure_policy_ref.name])
-        claim = policy.state.storage.claim_name
+        claim = policy_reader.spec(observed.policies[spec.failure_policy_ref.name]).state.storage.claim_name
+    memory = workload_plan.memory or monitor_memory.unchanged(live, images)
     placement = monitor_placement.placement(observed)
     if placement.again_after is not None:
         made.later(placement.again_after)
@@ -212,7 +213,7 @@ def _monitor(
         gate=spec.gate.kind,
         tasks=action_proxy_container.proxied(spec),
         claim=claim,
-        limited=monitor_deployment.limited(policy, live, images),
+        memory_limit=memory.limit,
         apart_from=placement.apart_from,
     )
     for kind, granted in monitor_deployment.access(

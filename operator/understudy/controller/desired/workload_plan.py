@@ -9,8 +9,10 @@ from typing import Any
 from pydantic import ValidationError
 
 from understudy.api import names
+from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
-from understudy.controller.desired import action_proxy_container, discovery_server, reflex_validation
+from understudy.controller.desired import action_proxy_container, discovery_server, monitor_memory, reflex_validation
+from understudy.controller.desired.monitor_memory import MonitorMemory
 from understudy.controller.observed import kube_objects, policy_reader, pool_reader, tree_verdicts, workload_reference
 from understudy.controller.observed.observation import Observed
 from understudy.controller.plan import Images, Problem
@@ -35,6 +37,8 @@ class WorkloadPlan:
     """DDS profiles of the instances; empty if they need none."""
     builts: Mapping[str, Object] = field(default_factory=dict)
     """Built pod templates: of the workload's own ReplicaSet ("") and of the standbys of each pool."""
+    memory: MonitorMemory | None = None
+    """The memory limit of the monitor; None without a valid policy."""
 
 
 _BRING_UP = "spec.bringUp"
@@ -99,7 +103,8 @@ def evaluate(observed: Observed, images: Images) -> WorkloadPlan:
     builts = {pool: build(pool) for pool in observed.standby_pools}
     if spec.template is not None:
         builts[""] = build("")
-    return WorkloadPlan(spec, None, policy, template, environment, profiles, builts)
+    memory = None if policy else monitor_memory.memory(_policy(observed, spec), images)
+    return WorkloadPlan(spec, None, policy, template, environment, profiles, builts, memory)
 
 
 def probe_template(observed: Observed, workload_plan: WorkloadPlan) -> Object | None:
@@ -107,6 +112,10 @@ def probe_template(observed: Observed, workload_plan: WorkloadPlan) -> Object | 
     if not workload_plan.builts:
         return None
     return instance_pod.trial(workload_plan.builts[min(workload_plan.builts)], "RobotWorkload", observed.workload)
+
+
+def _policy(observed: Observed, spec: RobotWorkloadSpec) -> FailurePolicySpec:
+    return policy_reader.spec(observed.policies[spec.failure_policy_ref.name])
 
 
 def _policy_problem(observed: Observed, spec: RobotWorkloadSpec) -> Problem | None:

@@ -336,7 +336,7 @@ def _prepare(recipe: Recipe, fenced: Sequence[str]) -> Object:
         "imagePullPolicy": recipe.images.pull_policy,
         "args": ["prepare"],
         "env": [*fences, from_field(names.POD_VARIABLE, "metadata.name")],
-        "resources": resources(recipe.images, AGENT_REQUESTS),
+        "resources": resources(AGENT_REQUESTS, recipe.images.memory_limit),
         "securityContext": copy.deepcopy(HARDENED),
         "volumeMounts": [
             {"name": names.AGENT_VOLUME, "mountPath": names.AGENT_DIR},
@@ -426,7 +426,7 @@ def _agent(recipe: Recipe, held: Sequence[str], fenced: Sequence[str], unfenced:
             "timeoutSeconds": 1,
             "failureThreshold": 2,
         },
-        "resources": resources(recipe.images, AGENT_REQUESTS),
+        "resources": resources(AGENT_REQUESTS, recipe.images.memory_limit),
         "securityContext": copy.deepcopy(HARDENED),
         "volumeMounts": [
             {"name": names.AGENT_VOLUME, "mountPath": names.AGENT_DIR},

@@ -22,7 +22,7 @@ from prometheus_client import generate_latest
 
 from understudy.api import names
 from understudy.api.quantities import amount
-from understudy.controller.plan import MEMORY_LIMIT, Images
+from understudy.controller.plan import MAX_MEMORY_LIMIT, MEMORY_LIMIT, Images
 from understudy.controller.reconcile import operator_metrics
 from understudy.controller.reconcile.executor import MANAGER, Executor
 from understudy.controller.reconcile.expectations import Expectations
@@ -202,6 +202,14 @@ def options(argv: Sequence[str]) -> tuple[argparse.Namespace, Options]:
         f"(default: UNDERSTUDY_MEMORY_LIMIT, or else {MEMORY_LIMIT})",
     )
     parser.add_argument(
+        "--max-memory-limit",
+        type=_amount,
+        default=environment("UNDERSTUDY_MAX_MEMORY_LIMIT", MAX_MEMORY_LIMIT),
+        metavar="QUANTITY",
+        help="highest memory limit of a monitor whose policy lets it keep more than its limit allows "
+        f"(default: UNDERSTUDY_MAX_MEMORY_LIMIT, or else {MAX_MEMORY_LIMIT})",
+    )
+    parser.add_argument(
         "--rollout-percent",
         type=_percent,
         default=environment("UNDERSTUDY_ROLLOUT_PERCENT", str(PERCENT)),
@@ -259,6 +267,7 @@ def options(argv: Sequence[str]) -> tuple[argparse.Namespace, Options]:
             parsed.priority_class,
             parsed.metrics_from,
             parsed.memory_limit,
+            parsed.max_memory_limit,
         ),
         lease_namespace=parsed.lease_namespace,
         lease=parsed.lease,
@@ -287,9 +296,12 @@ def _peers(text: str) -> tuple[Object, ...]:
 
 
 def _quantity(text: str) -> str:
+    return _amount(text) if text else text
+
+
+def _amount(text: str) -> str:
     try:
-        if text:
-            amount(text)
+        amount(text)
     except ValueError as error:
         raise argparse.ArgumentTypeError(str(error)) from error
     return text

@@ -9,13 +9,14 @@ from understudy.advice import order_explanation
 from understudy.api import names
 from understudy.api.conditions import Condition, condition, merged
 from understudy.api.kinds.failure_policy import Strategy
-from understudy.controller.desired import effective_policy, node_drain, standby_pods
+from understudy.controller.desired import effective_policy, monitor_memory, node_drain, standby_pods
 from understudy.controller.desired.workload_plan import WorkloadPlan
 from understudy.controller.observed import (
     dependency_graph,
     kube_objects,
     leaving_nodes,
     pod_diagnosis,
+    policy_reader,
     pool_reader,
     situation_strategies,
 )
@@ -63,6 +64,7 @@ def status(
         protection.protected(observed, workload_plan),
         *_chosen(observed, workload_plan),
         *_situation(observed, workload_plan),
+        *_memory(observed, workload_plan),
         *dependency_graph.resolved(observed.dependencies, workload),
         *([resized] if resized is not None else []),
         *node_drain.conditions(observed, workload_plan),
@@ -151,14 +153,29 @@ def takes_from(strategies: str, pool: str) -> bool:
     return f"({pool})" in strategies
 
 
+def _memory(observed: Observed, workload_plan: WorkloadPlan) -> list[Condition]:
+    """Return the condition for the monitor's memory. While the policy is missing or invalid, the last condition stays."""
+    spec = workload_plan.spec
+    if spec is None or spec.monitor.resources is not None:
+        return []
+    if workload_plan.memory is None:
+        return _last(observed, monitor_memory.CONDITION)
+    name = spec.failure_policy_ref.name
+    return monitor_memory.judged(workload_plan.memory, name, policy_reader.spec(observed.policies[name]))
+
+
+def _last(observed: Observed, type_: str) -> list[Condition]:
+    live = (observed.workload.get("status") or {}).get("conditions") or []
+    return [Condition.model_validate(one) for one in live if one["type"] == type_]
+
+
 def _chosen(observed: Observed, workload_plan: WorkloadPlan) -> list[Condition]:
     """Return the condition for the selected order, if the policy leaves it open.
 
     While the policy is missing or invalid, the last condition stays.
     """
     if workload_plan.spec is None or workload_plan.policy_problem is not None:
-        live = (observed.workload.get("status") or {}).get("conditions") or []
-        return [Condition.model_validate(one) for one in live if one["type"] == CHOSEN]
+        return _last(observed, CHOSEN)
     order = effective_policy.order(observed)
     if order is None:
         return []
@@ -176,8 +193,7 @@ def _situation(observed: Observed, workload_plan: WorkloadPlan) -> list[Conditio
     While the policy is missing or invalid, the last condition stays.
     """
     if workload_plan.spec is None or workload_plan.policy_problem is not None:
-        live = (observed.workload.get("status") or {}).get("conditions") or []
-        return [Condition.model_validate(one) for one in live if one["type"] == situation_strategies.CONDITION]
+        return _last(observed, situation_strategies.CONDITION)
     policy = observed.policies[workload_plan.spec.failure_policy_ref.name]
     if not situation_strategies.has_some(policy):
         return []
