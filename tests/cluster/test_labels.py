@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 
+import pytest
+
 from tests.cluster.operators import CORE, Fleet, Operator, hot, policy, workload
 from tests.cluster.test_pool_pods import claimed_from_a_pool
 from tests.support.cluster import Object, until
@@ -19,6 +21,12 @@ def _own(fleet: Fleet) -> list[Object]:
     return [pod for pod in fleet.instances() if names.SOURCE in pod["metadata"]["labels"]]
 
 
+REPAIRED_WITHIN = 1.0
+"""Seconds. The operator waits 0.2 s for further changes. The rest is for the event, a patch and this test's requests, each of which takes
+some ten milliseconds at most if no other test runs beside it."""
+
+
+@pytest.mark.alone
 def test_the_labels_of_a_standby_are_restored_within_a_second(fleet: Fleet, operator: Operator) -> None:
     fleet.create(policy("hot"), hot(), workload())
     until(lambda: len(fleet.instances()) == 2, "an active pod and a standby")
@@ -37,7 +45,7 @@ def test_the_labels_of_a_standby_are_restored_within_a_second(fleet: Fleet, oper
             lambda: _labels(fleet, standby) == before, f"labels to be restored after {change}", seconds=10, every=0.02
         )
         took.append(time.monotonic() - began)
-    assert sorted(took)[len(took) // 2] < 1.0, took
+    assert max(took) < REPAIRED_WITHIN, took
 
 
 def test_the_pool_of_a_claimed_pod_is_restored(fleet: Fleet, operator: Operator) -> None:

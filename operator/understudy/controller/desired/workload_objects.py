@@ -25,7 +25,7 @@ from understudy.controller.desired import (
 from understudy.controller.desired.workload_plan import WorkloadPlan
 from understudy.controller.observed import dependency_graph, kube_objects, ownership, policy_reader, workload_reference
 from understudy.controller.observed.observation import Observed
-from understudy.controller.plan import Apply, Create, Delete, Images, Patch, Plan
+from understudy.controller.plan import Apply, Create, Delete, Images, Patch, Plan, Write
 from understudy.controller.pods import claim_tokens, instance_pod, ros_environment
 from understudy.controller.pods.pool_pods import UniqueValues
 from understudy.kube.client import (
@@ -57,10 +57,7 @@ def plan(observed: Observed, workload_plan: WorkloadPlan, images: Images, fresh:
     workload, spec = observed.workload, workload_plan.spec
     if kube_objects.deleted(workload):
         return made
-    made.writes += standby_pods.relabelled(observed, workload_plan)
-    if not observed.rivals:
-        # With rivals, both workloads would label the same pods in turn, and each time fence the active instance.
-        made.writes += workload_reference.labelling(kube_objects.name(workload), observed.pods, observed.reference)
+    made.writes += labels(observed, workload_plan)
     if workload_plan.problem is not None or spec is None:
         _permit_evictions_in_vain(made, observed)
         return made
@@ -88,6 +85,16 @@ def plan(observed: Observed, workload_plan: WorkloadPlan, images: Images, fresh:
     _sweep(made, observed)
     standby_pods.sweep(made, observed)
     return made
+
+
+def labels(observed: Observed, workload_plan: WorkloadPlan) -> list[Write]:
+    """Return the writes that give the observed pods the labels that instances have, and remove them from others."""
+    found: list[Write] = list(standby_pods.relabelled(observed, workload_plan))
+    if not observed.rivals:
+        # With rivals, both workloads would label the same pods in turn, and each time fence the active instance.
+        name = kube_objects.name(observed.workload)
+        found += workload_reference.labelling(name, observed.pods, observed.reference)
+    return found
 
 
 def abandoned(workload: str, pods: Sequence[Object]) -> Plan:

@@ -41,7 +41,7 @@ from understudy.kube.gates import registry, unclaimed_pod_policy
 
 
 class Key(NamedTuple):
-    """One object of the three kinds."""
+    """One object of the three kinds, or an instance whose labels are restored."""
 
     plural: str
     namespace: str
@@ -49,6 +49,10 @@ class Key(NamedTuple):
 
 
 _PLURALS = {"RobotWorkload": WORKLOADS.plural, "FallbackPool": POOLS.plural}
+
+
+_RESTORED = (names.COMPONENT, names.WORKLOAD, names.INSTANCE, names.POOL)
+"""Labels of an instance that are restored: by the first three, the policies of the gate select."""
 
 
 class Affected(NamedTuple):
@@ -67,6 +71,32 @@ def of(change: ObservedChange, store: Store) -> Affected:
     """Return the effect of a change. The store already contains the change."""
     plenty = _plenty(change, store)
     return Affected(set(_keys(change, store, plenty)), _is_claim(change, plenty))
+
+
+def tampered(change: ObservedChange) -> Key | None:
+    """Return the key of an instance of which somebody changed a label that is restored; None for any other change.
+
+    The pod has a key of its own, because it may be behind no policy until the label is restored. The reconciliation of its workload may
+    take longer: for a webhook that does not answer, that is ten seconds.
+    """
+    old, new = change.old, change.new
+    if change.resource.plural != PODS.plural or old is None or new is None or kube_objects.deleted(new):
+        return None
+    before, after = kube_objects.labels(old), kube_objects.labels(new)
+    if kube_objects.uid(old) != kube_objects.uid(new) or all(before.get(k) in (None, after.get(k)) for k in _RESTORED):
+        return None
+    return Key(PODS.plural, new["metadata"]["namespace"], kube_objects.name(new)) if workload_of(new) else None
+
+
+def workload_of(pod: Object) -> str:
+    """Return the workload whose instance a pod is by its owner or, for a pod of a ReplicaSet, by its label; empty if there is none."""
+    owner = controller_of(pod)
+    if owner is not None and ownership.is_understudys(pod):
+        return owner["name"] if owner["kind"] == "RobotWorkload" else ""
+    if workload := released(pod):
+        return workload
+    labels = kube_objects.labels(pod)
+    return labels.get(names.WORKLOAD, "") if labels.get(names.SOURCE) == "workload" else ""
 
 
 def _keys(change: ObservedChange, store: Store, plenty: Collection[str]) -> Iterator[Key]:

@@ -107,6 +107,17 @@ class Observer:
             apiservers=await self._apiservers.read() if _has_reflex(item) else (),
         )
 
+    def instance(self, workload: Object, pod: Object) -> Observed:
+        """Return what is known of one instance of a workload without a request to the API, which may wait."""
+        refers = change_index.reference(workload) is not None
+        return Observed(
+            workload=workload,
+            now=time.time(),
+            pools=self._store.in_namespace(POOLS, workload["metadata"]["namespace"]),
+            pods=[pod],
+            reference=workload_reference.ReferencedObjects() if refers else None,
+        )
+
     def _pods(self, namespace: str, workload: str, uid: str) -> list[Object]:
         """Return the pods of a workload: those with its label, and those whose label somebody has removed.
 

@@ -93,7 +93,7 @@ def fresh() -> pool_pods.UniqueValues:
 
 
 class Reconciler:
-    """Reconciles keys of all three kinds."""
+    """Reconciles keys of all three kinds, and restores the labels of instances."""
 
     def __init__(
         self,
@@ -132,6 +132,9 @@ class Reconciler:
             return None
 
     async def _reconcile(self, key: Key) -> float | None:
+        if key.plural == PODS.plural:
+            await self._restore_labels(key)
+            return None
         item = self._store.get(_RESOURCES[key.plural], key.namespace, key.name)
         if key.plural == WORKLOADS.plural:
             return await self._workload(key, item)
@@ -164,6 +167,17 @@ class Reconciler:
                     WORKLOADS, item, workload_status.status(observed, workload_plan, [problem], resized)
                 )
             raise
+
+    async def _restore_labels(self, key: Key) -> None:
+        """Restore the labels of an instance, while the reconciliation of its workload may wait for something else.
+
+        That one reports a refusal, because it restores them too.
+        """
+        pod = self._store.get(PODS, key.namespace, key.name)
+        workload = self._store.get(WORKLOADS, key.namespace, change_index.workload_of(pod)) if pod is not None else None
+        if pod is None or workload is None or kube_objects.deleted(workload):
+            return
+        await self._executor.run(key, workload_objects.labels(self._observer.instance(workload, pod), WorkloadPlan()))
 
     async def _build(self, key: Key, observed: Observed, workload_plan: WorkloadPlan) -> float | None:
         again = None

@@ -80,6 +80,8 @@ class Operator:
         delays = CLAIMED if found.is_claim else {}
         for key in sorted(found.keys):
             self._add(key, delays.get(key.plural, SOON))
+        if (pod := change_index.tampered(change)) is not None:
+            self._add(pod)
 
     def _add(self, key: Key, delay: float = SOON) -> None:
         if self._leading:
