@@ -261,9 +261,14 @@ def test_a_second_driver_that_nobody_ends_is_detected() -> None:
 def test_safe_commands_over_an_instance_that_drives_are_detected() -> None:
     with (
         mock.patch.object(safe_commands, "CLOSED", "committing"),
-        mock.patch.object(safe_commands, "HEARD_FOR", 0.0),
+        mock.patch.multiple(safe_commands, HEARD_FOR=0.0, HEARD_FOR_MOST=0.0),
     ):
         assert found("receives a safe command", EXECUTING, "all_fail", "one_fails")
+
+
+def test_safe_commands_between_two_samples_of_a_slow_driver_are_detected() -> None:
+    with mock.patch.object(safe_commands, "HEARD_FOR_MOST", safe_commands.HEARD_FOR):
+        assert any("receives a safe command" in fault for fault in simulation.run(5117).faults)
 
 
 def test_a_recovery_that_stays_at_the_gate_for_ever_is_detected() -> None:
