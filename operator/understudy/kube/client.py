@@ -33,8 +33,11 @@ SERVICE_ACCOUNT = Path("/var/run/secrets/kubernetes.io/serviceaccount")
 PAGE = 250
 """Number of objects in a part of a list. A pod is about 10 kB, and only a part of it is kept."""
 LIFETIME = (200, 300)
-"""Bounds of the seconds after which a watch ends and starts again. A connection that ended without notice is detected
-then."""
+"""Bounds of the seconds after which a watch ends and starts again."""
+
+SILENCE = 75.0
+"""Seconds after which a silent watch counts as dead, although its connection may be alive: a proxy may have kept it open. The API server
+sends a bookmark every minute."""
 
 _KEEPALIVE = {"TCP_KEEPIDLE": 5, "TCP_KEEPINTVL": 3, "TCP_KEEPCNT": 3, "TCP_USER_TIMEOUT": 10_000}
 """Socket options with which the kernel ends a connection whose other side has vanished without a reset: within 5 + 3 * 3 seconds if
@@ -486,18 +489,22 @@ class Client:
         *,
         uid: str | None = None,
         grace_seconds: int | None = None,
-    ) -> None:
-        """Delete an object; with ``uid``, only the object with that UID. An object that does not exist is no error."""
+    ) -> Object | None:
+        """Delete an object; with ``uid``, only the object with that UID.
+
+        Returns the answer: of a pod, the pod that is being deleted. An object that does not exist is no error: then returns None.
+        """
         options: Object = {"kind": "DeleteOptions", "apiVersion": "v1", "propagationPolicy": "Background"}
         if uid is not None:
             options["preconditions"] = {"uid": uid}
         if grace_seconds is not None:
             options["gracePeriodSeconds"] = grace_seconds
         try:
-            await self.request("DELETE", resource.path(namespace, name), body=options)
+            return await self.request("DELETE", resource.path(namespace, name), body=options)
         except ApiError as error:
             if not error.not_found and not (error.conflict and uid is not None):
                 raise
+            return None
 
     async def watch(
         self,
@@ -508,13 +515,12 @@ class Client:
         labels: str | None = None,
         fields: str | None = None,
         lifetime: int | None = None,
-        silence: float | None = None,
     ) -> AsyncIterator[tuple[str, Object]]:
         """Yield events ``(type, object)`` after a resourceVersion, bookmarks included, until the server ends the watch.
 
         Raises Expired if the version is too old. ``lifetime`` is in seconds. The default differs for each watch, so
         that the watches of a fleet that started together do not all start again together. A connection without data for
-        ``silence`` seconds (or soon after the lifetime) is closed.
+        SILENCE seconds is closed.
         """
         if lifetime is None:
             lifetime = random.randint(*LIFETIME)
@@ -525,7 +531,7 @@ class Client:
             "allowWatchBookmarks": "true",
             "timeoutSeconds": str(lifetime),
         }
-        timeout = aiohttp.ClientTimeout(total=None, sock_connect=10, sock_read=silence or lifetime + 15)
+        timeout = aiohttp.ClientTimeout(total=None, sock_connect=10, sock_read=SILENCE)
         async with self._session.get(
             self._access.server + resource.path(namespace),
             params=params,

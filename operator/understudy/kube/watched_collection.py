@@ -2,6 +2,10 @@
 
 The results of our own writes are also put into it. They arrive before or after the watch's event of the same change.
 The versions decide which is newer (they are comparable within a resource, KEP-5504).
+
+A watch may be half-open: its connection is alive, but nothing arrives any more. Answers to other requests show it: one has a version
+that the watch does not report (Reflector.expect), or one says that an object is gone (Reflector.doubt). Then the collection is listed
+again.
 """
 
 from __future__ import annotations
@@ -18,6 +22,10 @@ from understudy.kube.client import FAILURES, Client, Expired, Object, Resource
 _logger = logging.getLogger(__name__)
 
 RETRY_FIRST, RETRY_MOST = 0.2, 5.0  # seconds
+
+LATE = 10.0
+"""Seconds within which a watch must report what another answer of the API server showed. It usually does within milliseconds, and an API
+server with much to do within a few seconds. Also the least time between a list and another one because of a doubt."""
 
 
 class Reflector:
@@ -46,6 +54,11 @@ class Reflector:
         self._changed = asyncio.Event()
         self._reported = 0
         """The version up to which the last list and the watch have reported everything."""
+        self._expected = 0
+        """The newest version that another answer of the API server had since that list."""
+        self._listed_at = 0.0
+        self._limit: asyncio.Timeout | None = None
+        """When the watch under way ends because it is half-open."""
         self.items: dict[str, Object] = {}
         self.revision = 0
         """Grows with every change, for caches of values derived from the objects."""
@@ -69,7 +82,8 @@ class Reflector:
                 retry = min(retry * 2, RETRY_MOST)
 
     async def _relist(self) -> str:
-        before = dict(self.items)
+        before, self._expected = dict(self.items), 0
+        self._listed_at = asyncio.get_running_loop().time()
         answer = await self._client.list(
             self._resource, self._namespace, labels=self._labels, fields=self._fields, cached=self._cached
         )
@@ -92,15 +106,55 @@ class Reflector:
         events = self._client.watch(
             self._resource, self._namespace, version=version, labels=self._labels, fields=self._fields
         )
-        async with contextlib.aclosing(events):  # type: ignore[type-var]
-            async for kind, item in events:
-                version = item["metadata"]["resourceVersion"]
-                self.apply_event(kind, item)
+        limit = asyncio.timeout(None)
+        try:
+            async with limit, contextlib.aclosing(events):  # type: ignore[type-var]
+                self._limit = limit
+                self._await_expected()
+                async for kind, item in events:
+                    version = item["metadata"]["resourceVersion"]
+                    self.apply_event(kind, item)
+        except TimeoutError:
+            if not limit.expired():
+                raise
+            _logger.info("the watch of %s in %s is half-open: listing again", self._resource.plural, self._namespace)
+            raise Expired from None
+        finally:
+            self._limit = None
         return version
+
+    def expect(self, item: Object) -> None:
+        """Have the collection listed again if the watch does not report this state of an object, or a later one, within LATE seconds after
+        its last event. Objects that are not in the collection are ignored."""
+        if item["metadata"].get("name") in self.items and version_of(item) > self._expected:
+            self._expected = version_of(item)
+            if self._limit is not None and self._limit.when() is None:
+                self._await_expected()
+
+    def doubt(self, name: str, uid: str) -> None:
+        """Have the collection listed again if it has this object, which an answer of the API server says is gone.
+
+        Nothing happens if the watch reports something first.
+        """
+        if self.items.get(name, {}).get("metadata", {}).get("uid") == uid:
+            self._end_watch(self._listed_at + LATE)
+
+    def _await_expected(self) -> None:
+        """Limit the watch's silence if it has not reported what is expected; end the limit if it has."""
+        if self._limit is not None and self._expected > self._reported:
+            self._end_watch(asyncio.get_running_loop().time() + LATE)
+        else:
+            self._end_watch(None)
+
+    def _end_watch(self, when: float | None) -> None:
+        """End the watch under way at this moment, by the loop's clock, if it reports nothing before."""
+        if self._limit is not None and not self._limit.expired():
+            self._limit.reschedule(when)
 
     def apply_event(self, kind: str, item: Object) -> None:
         """Apply an event of the watch. It is ignored if a later state of the object is known."""
         self._reported = max(self._reported, version_of(item))
+        self._await_expected()
         if kind == "BOOKMARK" or version_of(self.items.get(item["metadata"]["name"])) > version_of(item):
             return
         self._set(item["metadata"]["name"], None if kind == "DELETED" else item)
@@ -118,6 +172,7 @@ class Reflector:
         if 0 < version_of(item) <= self._reported:
             return
         self._set(name, item)
+        self.expect(item)
         self._notify()
 
     def _set(self, name: str, item: Object | None) -> None:

@@ -16,10 +16,11 @@ from tests.unit.interleavings.apiserver import ApiServer, selecting, watch_event
 from tests.unit.interleavings.scheduling import Process, VirtualLoop
 from tests.unit.interleavings.tcp import Tcp
 from understudy.kube.api_contact import ApiContact
-from understudy.kube.client import TABLE, ApiError, Client, Expired, Object, Resource
+from understudy.kube.client import SILENCE, TABLE, ApiError, Client, Expired, Object, Resource
 
-GIVEN_UP = 14.0
-"""Seconds after which the kernel ends a connection on which nothing is acknowledged: three keepalive probes of a client."""
+GIVEN_UP = (14.0, SILENCE)
+"""Seconds after which a connection without data ends: the kernel gives it up after three probes without an answer, and the client gives it
+up if a proxy answers them."""
 
 
 @dataclass
@@ -89,7 +90,7 @@ class Network:
         self.carries_late = False
         """Whether the request that the server carries out now was given up by its sender long ago."""
         self.half_open: dict[tuple[Process, str], float] = {}
-        """Watches of processes over connections that are dead, by resource, and when the kernel gives such a connection up."""
+        """Watches of processes over connections that are dead, by resource, and when such a connection is given up."""
 
     def client(self, process: Process, *, timeout: float = 10.0) -> SimulatedClient:
         """The client of a process."""
@@ -137,8 +138,8 @@ class Network:
         self.loop.call_later(seconds, work, *args, context=(process or self._world).context)
 
     def fall_silent(self, process: Process, plural: str) -> None:
-        """The connection of a watch dies without a sign."""
-        self.half_open[process, plural] = self.loop.time() + GIVEN_UP
+        """The connection of a watch dies without a sign, or a proxy keeps it open and delivers nothing."""
+        self.half_open[process, plural] = self.loop.time() + self.choices.choice(GIVEN_UP)
         self.written(plural)
 
     def written(self, plural: str) -> None:

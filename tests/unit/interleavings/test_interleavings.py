@@ -30,7 +30,7 @@ from understudy.failover import protocol
 from understudy.failover.interfaces import Instance
 from understudy.failover.progress import Progress
 from understudy.failover.strategies.base import StrategyContext
-from understudy.kube import api_contact, apply, claims
+from understudy.kube import api_contact, apply, claims, watched_collection
 from understudy.kube.client import Client, Object
 from understudy.kube.gates.base import GateRecord
 from understudy.kube.gates.kinds.network_policy import GATE
@@ -238,8 +238,8 @@ def test_kept_state_that_a_new_monitor_does_not_find_is_detected() -> None:
 
 
 def test_a_half_open_watch_that_is_never_given_up_is_detected() -> None:
-    with mock.patch.object(network, "GIVEN_UP", math.inf):
-        assert found("knows version", EXECUTING, "monitor_watch_is_half_open", "one_fails", weather=0.0, first=6)
+    with mock.patch.object(network, "GIVEN_UP", (math.inf,)), mock.patch.object(watched_collection, "LATE", math.inf):
+        assert found("knows version", EXECUTING, "monitor_watch_is_half_open", "one_fails", weather=0.0, first=5)
 
 
 def test_a_second_driver_of_which_no_condition_says_anything_is_detected() -> None:

@@ -117,13 +117,14 @@ class MemoryClient(Client):
         self._changed(place)
         return copy.deepcopy(found)
 
-    async def delete(self, resource: Resource, namespace: str | None, name: str, **options: Any) -> None:
+    async def delete(self, resource: Resource, namespace: str | None, name: str, **options: Any) -> Object | None:
         self._note("DELETE", name, options)
         place = (resource.plural, namespace or "", name)
-        if place in self.items:
-            self.items[place]["metadata"]["resourceVersion"] = self._next_version()
-            self._changed(place, "DELETED")
-            del self.items[place]
+        if place not in self.items or options.get("uid") not in (None, self.items[place]["metadata"]["uid"]):
+            return None
+        self.items[place]["metadata"]["resourceVersion"] = self._next_version()
+        self._changed(place, "DELETED")
+        return self.items.pop(place)
 
     async def list(
         self,
@@ -152,7 +153,6 @@ class MemoryClient(Client):
         labels: str | None = None,
         fields: str | None = None,
         lifetime: int | None = None,
-        silence: float | None = None,
     ) -> AsyncIterator[tuple[str, Object]]:
         sent = 0
         while True:

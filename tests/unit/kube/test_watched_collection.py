@@ -7,6 +7,9 @@ import contextlib
 from collections.abc import AsyncIterator
 from typing import Any
 
+import pytest
+
+from understudy.kube import watched_collection
 from understudy.kube.client import PODS, Client, Object
 from understudy.kube.watched_collection import Reflector, any_changed
 
@@ -20,11 +23,13 @@ class Scripted(Client):
 
     def __init__(self, version: int, *items: Object) -> None:
         self.version, self.items = version, items
+        self.lists = 0
         self.events: asyncio.Queue[tuple[str, Object]] = asyncio.Queue()
         self.may_answer = asyncio.Event()
         self.may_answer.set()
 
     async def list(self, *_: Any, **__: Any) -> Object:
+        self.lists += 1
         await self.may_answer.wait()
         return {"metadata": {"resourceVersion": str(self.version)}, "items": list(self.items)}
 
@@ -108,6 +113,79 @@ async def test_a_bookmark_confirms_all_earlier_versions() -> None:
         assert known(reflector) == {}
         reflector.put(pod("a", 21))
         assert known(reflector) == {"a": "21"}
+
+
+async def test_a_watch_that_reports_what_is_expected_in_time_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(watched_collection, "LATE", 0.05)
+    client = Scripted(5, pod("a", 5))
+    async with following(client) as reflector:
+        await reflector.synced.wait()
+        reflector.put(pod("a", 6))
+        await deliver(client, "MODIFIED", pod("a", 6))
+        reflector.expect(pod("a", 6))
+        reflector.expect(pod("of another workload", 9))
+        await asyncio.sleep(0.1)
+        assert client.lists == 1
+
+
+async def test_a_watch_that_reports_only_earlier_versions_has_its_time_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(watched_collection, "LATE", 0.2)
+    client = Scripted(5, pod("a", 5))
+    async with following(client) as reflector:
+        await reflector.synced.wait()
+        reflector.put(pod("a", 7))
+        await asyncio.sleep(0.15)
+        await deliver(client, "MODIFIED", pod("a", 6))
+        await asyncio.sleep(0.1)
+        assert client.lists == 1
+        client.version = 7
+        await asyncio.sleep(0.2)
+        assert client.lists == 2
+
+
+async def test_what_was_put_during_a_list_is_expected_of_the_watch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The next list ends that, even if an API server that was restored from a backup has only earlier versions."""
+    monkeypatch.setattr(watched_collection, "LATE", 0.05)
+    client = Scripted(5, pod("a", 5))
+    client.may_answer.clear()
+    async with following(client) as reflector:
+        await asyncio.sleep(0)
+        reflector.put(pod("a", 6))
+        client.may_answer.set()
+        await asyncio.sleep(0.3)
+        assert client.lists == 2
+
+
+async def test_an_object_that_an_answer_took_for_gone_is_listed_again_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(watched_collection, "LATE", 0.2)
+    client = Scripted(5, pod("a", 5))
+    async with following(client) as reflector:
+        await reflector.synced.wait()
+        reflector.doubt("b", "uid-b")
+        reflector.doubt("a", "uid of its predecessor")
+        await asyncio.sleep(0.25)
+        assert client.lists == 1
+        reflector.doubt("a", "uid-a")
+        await asyncio.sleep(0.05)
+        assert client.lists == 2
+        reflector.doubt("a", "uid-a")
+        await asyncio.sleep(0.05)
+        assert client.lists == 2, "writes that are refused again and again cost few lists"
+        await asyncio.sleep(0.2)
+        assert client.lists == 3
+
+
+async def test_a_watch_that_reports_something_has_no_need_of_a_list_after_a_doubt(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(watched_collection, "LATE", 0.05)
+    client = Scripted(5, pod("a", 5))
+    async with following(client) as reflector:
+        await reflector.synced.wait()
+        reflector.doubt("a", "uid-a")
+        await deliver(client, "DELETED", pod("a", 6))
+        await asyncio.sleep(0.1)
+        assert (known(reflector), client.lists) == ({}, 1)
 
 
 async def test_the_first_change_of_several_ends_the_wait_for_all() -> None:

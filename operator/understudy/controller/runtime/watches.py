@@ -50,9 +50,6 @@ WATCHED: tuple[tuple[Resource, str | None], ...] = (
 BEGINNING = "0"
 """The resourceVersion at which a watch first sends all existing objects."""
 
-SILENCE = 75.0
-"""Seconds after which a silent watch is started again. The API server sends a bookmark every minute."""
-
 
 async def watch(client: Client, see: See, namespaces: Sequence[str]) -> None:
     """Watch until cancelled, in the given namespaces or in all. Errors are retried."""
@@ -65,7 +62,7 @@ async def watch(client: Client, see: See, namespaces: Sequence[str]) -> None:
 async def _keep(client: Client, see: See, resource: Resource, labels: str | None, namespace: str | None) -> None:
     version, retry = BEGINNING, RETRY_FIRST
     while True:
-        events = client.watch(resource, namespace, version=version, labels=labels, silence=SILENCE)
+        events = client.watch(resource, namespace, version=version, labels=labels)
         try:
             async with contextlib.aclosing(events):  # type: ignore[type-var]
                 async for kind, item in events:

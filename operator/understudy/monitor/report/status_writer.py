@@ -179,6 +179,7 @@ class StatusWriter:
         if unknown and unknown != self._unknown:
             _logger.warning("%s", lacking(WORKLOADS, unknown, "monitor"))
         self._unknown = unknown
+        self._view.workloads.expect(answer)
         self._applied, self._written, self._answer = text, body["status"], answer
 
 
