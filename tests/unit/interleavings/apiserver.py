@@ -211,8 +211,8 @@ class ApiServer:
             self.write(plural, place, None, by)
         elif "deletionTimestamp" not in old["metadata"]:
             metadata = {**old["metadata"], "deletionTimestamp": stamp(self._clock())}
-            self.write(plural, place, {**old, "metadata": metadata}, by)
-        return {"kind": "Status"}
+            return self.write(plural, place, {**old, "metadata": metadata}, by)
+        return old
 
     # -- writing ----------------------------------------------------------------------------------------------------
 

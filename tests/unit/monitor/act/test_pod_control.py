@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Callable, Coroutine
 from typing import Any
 
 import pytest
@@ -10,7 +12,8 @@ import pytest
 from tests.unit.monitor.cluster_objects import NAMESPACE, ClusterObjects, pod_of
 from understudy.api import names
 from understudy.failover.interfaces import Instance, NotAvailable
-from understudy.kube.client import REPLICA_SETS, ApiError
+from understudy.kube import watched_collection
+from understudy.kube.client import PODS, REPLICA_SETS, ApiError, Object
 from understudy.monitor.act.objects import pod_control
 from understudy.monitor.act.objects.pod_control import instance_of
 
@@ -181,3 +184,60 @@ async def test_an_api_server_that_does_not_answer_a_list_is_asked_for_something_
             await asyncio.sleep(0.005)
     assert not listing.done()
     listing.cancel()
+
+
+@contextlib.asynccontextmanager
+async def half_open(found: ClusterObjects, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[None]:
+    """Have the pods listed, and then a watch that reports nothing."""
+
+    async def silent(*_: object, **__: object) -> AsyncIterator[tuple[str, Object]]:
+        await asyncio.Event().wait()
+        yield "", {}
+
+    monkeypatch.setattr(found.client, "watch", silent)
+    monkeypatch.setattr(watched_collection, "LATE", 0.05)
+    running = asyncio.create_task(found.view.pods.run())
+    try:
+        await found.view.pods.synced.wait()
+        yield
+    finally:
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+
+
+@pytest.mark.parametrize("successor", [None, "u9"], ids=["gone", "another pod"])
+@pytest.mark.parametrize(
+    "write", [lambda pods: pods.end(FAILED), lambda pods: pods.label(FAILED)], ids=["delete", "label"]
+)
+async def test_pods_are_listed_again_after_a_write_to_one_that_is_gone_without_a_report_of_the_watch(
+    write: Callable[[pod_control.PodControl], Coroutine[Any, Any, None]],
+    successor: str | None,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found = objects()
+    unlabelled = pod_of(FAILED)
+    del unlabelled["metadata"]["labels"][names.INSTANCE]  # there is something to write
+    found.client.store(PODS, NAMESPACE, unlabelled)
+    async with half_open(found, monkeypatch):
+        del found.client.items[PODS.plural, NAMESPACE, "w-1"]
+        if successor is not None:
+            found.client.store(PODS, NAMESPACE, pod_of(Instance("w-1", successor, running=True)))
+        assert [i.uid for i in found.pods.of_workload()] == ["u1"]
+        with contextlib.suppress(ApiError):
+            await write(found.pods)
+        async with asyncio.timeout(5):
+            while found.pods.find("u1") is not None:
+                await asyncio.sleep(0.01)
+        assert [i.uid for i in found.pods.of_workload()] == ([successor] if successor else [])
+
+
+async def test_pods_are_listed_again_after_a_deletion_that_the_watch_does_not_report(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found = objects()
+    async with half_open(found, monkeypatch):
+        await found.pods.end(FAILED)
+        found.client.store(PODS, NAMESPACE, pod_of(Instance("w-2", "u2", running=True)))
+        async with asyncio.timeout(5):
+            while [i.uid for i in found.pods.of_workload()] != ["u2"]:
+                await asyncio.sleep(0.01)

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from contextlib import AbstractAsyncContextManager
 from functools import partial
 
@@ -35,6 +35,9 @@ LIST_WITHIN = 1.0
 
 ASK_PERIOD = 0.25
 """Seconds between two of these requests."""
+
+GONE = (404, 409, 422)
+"""Status of the answers to a write that names the UID of a pod, if no pod has that name or another one has it."""
 
 SHORTEST_GRACE = 1
 """Grace period in seconds for a pod that still reaches the robot. With 0 its object would be gone at once, whether it has ended or not."""
@@ -242,8 +245,7 @@ class PodControl:
             fitting = [i for i in self.of_workload() if predicate(i)]
             if fitting:
                 return max(fitting, key=lambda i: (i.created, i.name))
-            sources = [self._view.pods] + ([self._view.source_pods] if self._view.source_pods else [])
-            await any_changed(sources)
+            await any_changed(self._view.pod_watches)
 
     async def label(self, instance: Instance) -> None:
         """Give a pod of this workload the labels with which the gate selects it."""
@@ -278,12 +280,38 @@ class PodControl:
         labels = pod["metadata"].get("labels") or {}
         if any(labels.get(key) != value for key, value in wanted.items()):
             body = {"metadata": {"uid": uid, "labels": wanted}}
-            self._view.pods.put(await self._client.patch(PODS, self._view.namespace, name, body))
+            labelled = await self._written(name, uid, self._client.patch(PODS, self._view.namespace, name, body))
+            if labelled is not None:
+                self._view.pods.put(labelled)
 
     async def _delete(self, instance: Instance, grace: int | None = None) -> None:
         if grace is None and self._settings.source_kind == "StatefulSet":
             grace = STATEFUL_SET_GRACE
-        await self._client.delete(PODS, self._view.namespace, instance.name, uid=instance.uid, grace_seconds=grace)
+        name, uid = instance.name, instance.uid
+        deletion = self._client.delete(PODS, self._view.namespace, name, uid=uid, grace_seconds=grace)
+        await self._written(name, uid, deletion)
+
+    async def _written(self, name: str, uid: str, request: Awaitable[Object | None]) -> Object | None:
+        """Return the answer to a write to a pod of this workload, None if there is no such pod. Raises what the request raises.
+
+        The watches must report what the answer shows. Otherwise the pods are listed again.
+        """
+        try:
+            pod = await request
+        except ApiError as error:
+            if error.status in GONE:
+                self._doubt(name, uid)
+            raise
+        if pod is None:
+            self._doubt(name, uid)
+        else:
+            for watch in self._view.pod_watches:
+                watch.expect(pod)
+        return pod
+
+    def _doubt(self, name: str, uid: str) -> None:
+        for watch in self._view.pod_watches:
+            watch.doubt(name, uid)
 
     async def _scale(self, replicas: int) -> None:
         await self._client.patch(

@@ -157,6 +157,11 @@ class ClusterView:
             self._waiting_watches = []
 
     @property
+    def pod_watches(self) -> list[Reflector]:
+        """The watches that report the workload's pods. One pod may be in both."""
+        return [self.pods, self.source_pods] if self.source_pods else [self.pods]
+
+    @property
     def pods_revision(self) -> tuple[int, int]:
         """A value that changes whenever one of the workload's pods changes."""
         return self.pods.revision, self.source_pods.revision if self.source_pods else 0
