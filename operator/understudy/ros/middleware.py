@@ -115,3 +115,12 @@ class Middleware(ABC):
         Readers that are not announced within ``within`` seconds are left out. ``address`` is this host's own;
         ``environment`` says whom to ask. Raises OSError and ValueError.
         """
+
+    @abstractmethod
+    async def instances_of_writers(
+        self, writers: Collection[bytes], address: str, environment: Mapping[str, str], *, within: float
+    ) -> dict[bytes, str]:
+        """Return the pods whose outputs writers send, given by their GIDs, if a mux forwards these; empty for a writer of nobody's outputs.
+
+        Everything else is as for :meth:`reader_locators`.
+        """

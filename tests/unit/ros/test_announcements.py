@@ -1,4 +1,4 @@
-"""DDS tells where readers listen, whoever has them: asked of real Fast DDS, as a discovery server has it and without one."""
+"""DDS discovery reports where readers listen and in which partitions writers are: asked of real Fast DDS, with and without a server."""
 
 from __future__ import annotations
 
@@ -14,13 +14,22 @@ pytest.importorskip("rclpy")
 from tests.support.network_namespaces import network
 from understudy.api import names
 from understudy.api.kinds.robot_workload import Output
+from understudy.ros.dds.endpoint_announcements import Discovery, locators
 from understudy.ros.dds.profiles import profiles_xml
-from understudy.ros.dds.reader_locators import Discovery, locators
 from understudy.ros.middleware import Locator
 
 pytestmark = pytest.mark.ros
 
 CHAT = "/chat"
+
+IN_A_PARTITION = """\
+<?xml version="1.0" encoding="UTF-8"?>
+<dds xmlns="http://www.eprosima.com"><profiles>
+  <data_writer profile_name="/chat">
+    <qos><partition><names><name>understudy-${POD}</name><name>second</name></names></partition></qos>
+  </data_writer>
+</profiles></dds>
+"""
 
 
 @pytest.fixture
@@ -33,7 +42,7 @@ def profiles(dds, tmp_path):
 
 ASK = """
 import asyncio, json, os, sys, time
-from understudy.ros.dds.reader_locators import Discovery, locators
+from understudy.ros.dds.endpoint_announcements import Discovery, locators
 from understudy.ros.runtime.graph_node import Graph
 
 def ask(gids, within):
@@ -77,6 +86,46 @@ def test_a_discovery_server_reports_every_reader_and_forgets_the_requester(
     assert announced["readers"] == 2
 
 
+ASK_WRITERS = """
+import asyncio, json, os, sys, time
+from understudy.ros.dds.endpoint_announcements import Discovery, partitions
+from understudy.ros.runtime.graph_node import Graph
+
+graph = Graph("mux")
+print("ready", flush=True)
+while len(writers := graph.publishers("/chat")) < 2:
+    time.sleep(0.05)
+gids = [writer.gid for writer in writers]
+found = asyncio.run(partitions(gids, sys.argv[1], Discovery.of(os.environ), within=5.0))
+print(json.dumps(sorted(found.values())), flush=True)
+"""
+
+
+@pytest.fixture
+def partitioned(tmp_path):
+    """What puts the writer of a process in a partition."""
+    file = tmp_path / "partition.xml"
+    file.write_text(IN_A_PARTITION)
+    return {"FASTRTPS_DEFAULT_PROFILES_FILE": str(file), "POD": "pod-a"}
+
+
+@pytest.fixture
+def writers_script(tmp_path):
+    file = tmp_path / "ask_writers.py"
+    file.write_text(ASK_WRITERS)
+    return str(file)
+
+
+def test_a_discovery_server_reports_the_partitions_of_each_writer(
+    discovery_server, processes, partitioned, writers_script
+) -> None:
+    discovery_server()
+    processes.node("publish", CHAT, "5")
+    processes.node("publish", CHAT, "5", **partitioned)
+    asker = processes.node("127.0.0.1", script=writers_script)
+    assert json.loads(processes.line(asker, 60)) == [[], ["understudy-pod-a", "second"]]
+
+
 def test_without_an_answer_the_known_locators_are_returned() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
         silent.bind(("127.0.0.1", 0))
@@ -114,3 +163,15 @@ def test_without_a_server_each_participant_reports_its_own_readers(processes, pr
     assert plain.address == "10.77.0.2"
     assert plain.port > names.GATE_RANGE[1]
     assert gated == Locator("10.77.0.3", names.GATE_PORTS[0])
+
+
+@needs_root
+def test_without_a_server_each_participant_reports_the_partitions_of_its_writers(
+    processes, partitioned, writers_script, monkeypatch
+) -> None:
+    monkeypatch.delenv("ROS_AUTOMATIC_DISCOVERY_RANGE")
+    with network() as lan:
+        processes.node("publish", CHAT, "5", inside=lan.host("10.77.0.2"))
+        processes.node("publish", CHAT, "5", inside=lan.host("10.77.0.3"), **partitioned)
+        asker = processes.node("10.77.0.4", inside=lan.host("10.77.0.4"), script=writers_script)
+        assert json.loads(processes.line(asker, 60)) == [[], ["understudy-pod-a", "second"]]

@@ -82,7 +82,7 @@ def test_heartbeats_and_gaps_are_parsed() -> None:
 
 def test_our_own_announcements_are_parsed_as_they_were_meant() -> None:
     at = Locator("10.9.0.4", 40000)
-    (message,) = rtps.parse(rtps.announcement(OURS, at, lease=10.0, kind="SUPER_CLIENT", to=SERVER))
+    (message,) = rtps.parse(rtps.announcement(OURS, at, rtps.SUBSCRIPTIONS, lease=10.0, kind="SUPER_CLIENT", to=SERVER))
     assert message == Sample(OURS + rtps.PARTICIPANTS[0], 1, Participant(OURS, (at,), (at,)))
     assert list(rtps.parse(rtps.farewell(OURS, to=SERVER))) == [Sample(OURS + rtps.PARTICIPANTS[0], 2, None)]
 

@@ -106,7 +106,17 @@ class FastDds(Middleware):
         self, readers: Collection[bytes], address: str, environment: Mapping[str, str], *, within: float
     ) -> dict[bytes, tuple[Locator, ...]]:
         """Return the locators that DDS discovery announces."""
-        from understudy.ros.dds import reader_locators
+        from understudy.ros.dds import endpoint_announcements
 
-        discovery = reader_locators.Discovery.of(environment)
-        return await reader_locators.locators(readers, address, discovery, within=within)
+        discovery = endpoint_announcements.Discovery.of(environment)
+        return await endpoint_announcements.locators(readers, address, discovery, within=within)
+
+    async def instances_of_writers(
+        self, writers: Collection[bytes], address: str, environment: Mapping[str, str], *, within: float
+    ) -> dict[bytes, str]:
+        """Return the pods by the partitions that DDS discovery announces."""
+        from understudy.ros.dds import endpoint_announcements, profiles
+
+        discovery = endpoint_announcements.Discovery.of(environment)
+        found = await endpoint_announcements.partitions(writers, address, discovery, within=within)
+        return {writer: profiles.instance_of(partitions) for writer, partitions in found.items()}

@@ -31,8 +31,12 @@ _ACTION_SERVICES = ("send_goal", "get_result", "cancel_goal")
 _ACTION_COMMANDS = ("send_goal", "cancel_goal")
 _ACTION_TOPICS = ("feedback", "status")
 
-PARTITION = f"understudy-${{{names.POD_VARIABLE}}}"
-"""The partition of a pod's tasks. Fast DDS replaces the variable from the environment of the process that reads the file."""
+PARTITIONS = "understudy-"
+"""Prefix of the partitions of pods. Their names follow."""
+
+PARTITION = f"{PARTITIONS}${{{names.POD_VARIABLE}}}"
+"""The partition of a pod's tasks, and with a mux of its outputs. Fast DDS replaces the variable from the environment of the process that
+reads the file."""
 
 
 def reader_profiles(output: Output) -> list[str]:
@@ -138,6 +142,37 @@ def instance_profiles_xml(tasks: Iterable[Task], outputs: Iterable[Output] = (),
         for name in command_writers(output):
             profiles += _INSTANCE.format(kind="data_writer", name=quoteattr(name), qos=qos, times=times)
     return _FILE.format(profiles=profiles) if profiles else ""
+
+
+def instance_of(partitions: Iterable[str]) -> str:
+    """Return the name of the pod whose partition a writer is in; empty if it is in none, or in others too."""
+    found = list(partitions)
+    return found[0].removeprefix(PARTITIONS) if len(found) == 1 and found[0].startswith(PARTITIONS) else ""
+
+
+def muxed_profiles_xml(outputs: Iterable[Output]) -> str:
+    """Return the profile file of an instance whose outputs a mux forwards: their writers are in the partition of the pod.
+
+    So they cannot reach the robot's own readers, whatever the network is.
+    """
+    return _FILE.format(
+        profiles="".join(
+            _PARTITIONED.format(kind="data_writer", name=quoteattr(output.topic), partition=PARTITION)
+            for output in outputs
+            if output.topic
+        )
+    )
+
+
+def mux_profiles_xml(outputs: Iterable[Output]) -> str:
+    """Return the profile file of a mux: its readers are in the partitions of all pods, and its writers in the robot's default one."""
+    return _FILE.format(
+        profiles="".join(
+            _PARTITIONED.format(kind="data_reader", name=quoteattr(output.topic), partition=f"{PARTITIONS}*")
+            for output in outputs
+            if output.topic
+        )
+    )
 
 
 def _action_endpoints(action: str) -> list[str]:

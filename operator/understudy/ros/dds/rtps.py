@@ -1,8 +1,8 @@
-"""The part of DDS's wire protocol (RTPS 2.x, section 9) that is needed to learn from discovery where readers listen.
+"""The part of DDS's wire protocol (RTPS 2.x, section 9) that is needed to learn what endpoints announce.
 
-ROS's graph shows who reads a topic, but not at which addresses and ports: DDS does not expose those. All functions are
-pure functions of bytes; the conversation is in reader_locators.py. This side supports IPv4 only, because a robot's
-whole graph uses that transport.
+ROS's graph shows who reads and writes a topic, but neither the addresses and ports of readers nor the partitions of writers: DDS
+does not expose those. All functions are pure functions of bytes; the conversation is in endpoint_announcements.py. This side
+supports IPv4 only, because a robot's whole graph uses that transport.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import ipaddress
 import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from understudy.ros.dds.host_ids import VENDOR
 from understudy.ros.middleware import Locator
@@ -19,10 +20,24 @@ PARTICIPANT = bytes([0x00, 0x00, 0x01, 0xC1])
 """The entity of the participant itself. The next two are the writer and the reader of its announcements and
 subscriptions."""
 
-PARTICIPANTS = (bytes([0x00, 0x01, 0x00, 0xC2]), bytes([0x00, 0x01, 0x00, 0xC7]))
-SUBSCRIPTIONS = (bytes([0x00, 0x00, 0x04, 0xC2]), bytes([0x00, 0x00, 0x04, 0xC7]))
 
-ANSWERED = dict([PARTICIPANTS, SUBSCRIPTIONS])
+class Endpoints(NamedTuple):
+    """Discovery's own endpoints for one kind of entity."""
+
+    writer: bytes
+    reader: bytes
+    detector: int
+    """Bit of a participant's announcement that it has the reader."""
+
+
+PARTICIPANTS = Endpoints(bytes([0x00, 0x01, 0x00, 0xC2]), bytes([0x00, 0x01, 0x00, 0xC7]), 1 << 1)
+PUBLICATIONS = Endpoints(bytes([0x00, 0x00, 0x03, 0xC2]), bytes([0x00, 0x00, 0x03, 0xC7]), 1 << 3)
+SUBSCRIPTIONS = Endpoints(bytes([0x00, 0x00, 0x04, 0xC2]), bytes([0x00, 0x00, 0x04, 0xC7]), 1 << 5)
+
+ANNOUNCER = 1 << 0
+"""Bit of an announcement that the participant announces itself."""
+
+ANSWERED = {one.writer: one.reader for one in (PARTICIPANTS, PUBLICATIONS, SUBSCRIPTIONS)}
 """The writers whose heartbeats are answered, with the readers that answer."""
 
 PREFIX = 12
@@ -31,10 +46,6 @@ PREFIX = 12
 MOST_MISSING = 256
 """Number of samples that one answer can request."""
 
-ANNOUNCER, DETECTOR, SUBSCRIPTIONS_DETECTOR = 1 << 0, 1 << 1, 1 << 5
-"""Bits of an announcement for what a participant has: writer and reader of participants, and the reader of
-subscriptions."""
-
 _HEADER = b"RTPS" + bytes([2, 2]) + VENDOR
 _LITTLE = 1  # the flag of every submessage with little-endian numbers
 _ACKNACK, _HEARTBEAT, _GAP, _INFO_DST, _DATA = 0x06, 0x07, 0x08, 0x0E, 0x15
@@ -42,12 +53,14 @@ _INLINE_QOS, _HAS_DATA, _HAS_KEY = 2, 4, 8
 _PL_CDR_LE = bytes([0x00, 0x03, 0x00, 0x00])
 
 _PAD, _SENTINEL, _LEASE, _TOPIC, _VERSION, _VENDOR, _UNICAST = 0x00, 0x01, 0x02, 0x05, 0x15, 0x16, 0x2F
-_MULTICAST, _DEFAULT, _METATRAFFIC, _PARTICIPANT_GUID, _BUILTIN = 0x30, 0x31, 0x32, 0x50, 0x58
+_PARTITION, _MULTICAST, _DEFAULT, _METATRAFFIC, _PARTICIPANT_GUID, _BUILTIN = 0x29, 0x30, 0x31, 0x32, 0x50, 0x58
 _PROPERTIES, _ENDPOINT_GUID, _KEY_HASH, _STATUS, _RELATED = 0x59, 0x5A, 0x70, 0x71, 0x83
 _RELATED_OF_EPROSIMA = 0x800F
 
 _GONE = 3  # bits of a status: disposed, unregistered
 _UDPV4, _UDPV6 = 1, 2
+_WRITERS = (0x02, 0x03)
+"""Last byte of the GUID of an application's writer, with and without keys."""
 
 
 @dataclass(frozen=True)
@@ -74,12 +87,22 @@ class Reader:
 
 
 @dataclass(frozen=True)
+class Writer:
+    """A participant's announcement of one of its writers."""
+
+    guid: bytes
+    topic: str
+    partitions: tuple[str, ...]
+    """Empty for the default partition."""
+
+
+@dataclass(frozen=True)
 class Sample:
     """A sample of a discovery writer."""
 
     writer: bytes
     number: int
-    entity: Participant | Reader | None
+    entity: Participant | Reader | Writer | None
     """None if the sample reports that an entity is gone, or describes an entity that is not needed."""
 
 
@@ -183,7 +206,7 @@ def _parameters(data: bytes, order: str) -> tuple[list[tuple[int, bytes]], int]:
     return found, at
 
 
-def _entity(parameters: _Parameters, order: str) -> Participant | Reader | None:
+def _entity(parameters: _Parameters, order: str) -> Participant | Reader | Writer | None:
     values = dict(parameters)
 
     def locators(*pids: int) -> tuple[Locator, ...]:
@@ -191,12 +214,32 @@ def _entity(parameters: _Parameters, order: str) -> Participant | Reader | None:
         return tuple(dict.fromkeys(one for one in found if one is not None))
 
     if _ENDPOINT_GUID in values and _TOPIC in values:
-        (size,) = struct.unpack_from(f"{order}I", values[_TOPIC], 0)
-        topic = values[_TOPIC][4 : 4 + size].rstrip(b"\0").decode(errors="replace")
-        return Reader(values[_ENDPOINT_GUID], topic, locators(_UNICAST, _MULTICAST))
+        topic, _ = _string(values[_TOPIC], 0, order)
+        guid = values[_ENDPOINT_GUID]
+        if guid[-1] in _WRITERS:
+            return Writer(guid, topic, _partitions(values.get(_PARTITION), order))
+        return Reader(guid, topic, locators(_UNICAST, _MULTICAST))
     if _PARTICIPANT_GUID in values:
         return Participant(values[_PARTICIPANT_GUID][:PREFIX], locators(_METATRAFFIC), locators(_DEFAULT))
     return None
+
+
+def _partitions(value: bytes | None, order: str) -> tuple[str, ...]:
+    if value is None:
+        return ()
+    (count,) = struct.unpack_from(f"{order}I", value, 0)
+    names, at = [], 4
+    for _ in range(count):
+        name, at = _string(value, at, order)
+        names.append(name)
+    return tuple(name for name in names if name)
+
+
+def _string(value: bytes, at: int, order: str) -> tuple[str, int]:
+    """Return a string and the position after it, which is a multiple of four. Raises struct.error at the end of the value."""
+    (size,) = struct.unpack_from(f"{order}I", value, at)
+    text = value[at + 4 : at + 4 + size].rstrip(b"\0").decode(errors="replace")
+    return text, at + 4 + (size + 3) // 4 * 4
 
 
 def _locator(value: bytes, order: str) -> Locator | None:
@@ -211,8 +254,8 @@ def _locator(value: bytes, order: str) -> Locator | None:
 # -- writing ------------------------------------------------------------------------------------------------------------
 
 
-def announcement(prefix: bytes, at: Locator, *, lease: float, kind: str, to: bytes = b"") -> bytes:
-    """Return a participant's own announcement: it listens at ``at``, and asks for participants and subscriptions.
+def announcement(prefix: bytes, at: Locator, asked: Endpoints, *, lease: float, kind: str, to: bytes = b"") -> bytes:
+    """Return a participant's own announcement: it listens at ``at``, and asks for participants and one kind of endpoint.
 
     ``kind`` is the kind of client that a discovery server considers it; ``to`` is the prefix of that server, empty for
     all that receive the announcement.
@@ -225,7 +268,7 @@ def announcement(prefix: bytes, at: Locator, *, lease: float, kind: str, to: byt
         (_METATRAFFIC, where),
         (_DEFAULT, where),
         (_LEASE, struct.pack("<iI", int(lease), 0)),
-        (_BUILTIN, struct.pack("<I", ANNOUNCER | DETECTOR | SUBSCRIPTIONS_DETECTOR)),
+        (_BUILTIN, struct.pack("<I", ANNOUNCER | PARTICIPANTS.detector | asked.detector)),
         (_PROPERTIES, _properties({"PARTICIPANT_TYPE": kind, "DS_VERSION": "2.0"})),
     ]
     return _message(prefix, to, _data(prefix, 1, parameters))
@@ -264,7 +307,7 @@ def _framed(kind: int, flags: int, body: bytes) -> bytes:
 
 
 def _data(prefix: bytes, number: int, parameters: _Parameters = (), *, inline: _Parameters = ()) -> bytes:
-    writer, reader = PARTICIPANTS
+    writer, reader, _ = PARTICIPANTS
     # A discovery server passes the announcement on as its own. This field identifies the original writer.
     identity = prefix + writer + struct.pack("<iI", 0, number)
     body = struct.pack("<HH", 0, 16) + reader + writer + struct.pack("<iI", 0, number)

@@ -1,4 +1,4 @@
-"""Takes serialized samples from a subscription's queue, with their senders and times of receipt.
+"""Takes serialized samples from a subscription's queue, with their senders and times of receipt, and publishes them again.
 
 rclpy returns a message's timestamps but drops its publisher's GID, which is the only way to distinguish two pods that
 publish the same topic. So this module calls ``rcl_take_serialized_message`` directly, into one buffer that grows as
@@ -38,6 +38,10 @@ class Sample(NamedTuple):
 
 class TakeError(RuntimeError):
     """The middleware failed to return a sample."""
+
+
+class PublishError(RuntimeError):
+    """The middleware failed to publish a sample."""
 
 
 class _Allocator(ctypes.Structure):
@@ -96,6 +100,8 @@ class SampleTaker:
         self._info = ctypes.create_string_buffer((_INFO.size + 7) // 8 * 8)
         self._take = loaded("librcl").rcl_take_serialized_message
         self._take.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
+        self._publish = loaded("librcl").rcl_publish_serialized_message
+        self._publish.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
         self._into = (ctypes.addressof(self._bytes), ctypes.addressof(self._info), None)
         weakref.finalize(self, utils.rcutils_uint8_array_fini, self._bytes)
 
@@ -113,6 +119,16 @@ class SampleTaker:
             raise TakeError(f"taking a sample failed with rcl's code {result}")
         sent, received, sequence, _, _, gid, _ = _INFO.unpack_from(self._info)
         return Sample(received * 1e-9, sent * 1e-9, gid, sequence, self.data() if with_data else b"")
+
+    def publish(self, pointer: int) -> None:
+        """Publish the sample that was taken last, as its bytes are.
+
+        ``pointer`` is that of the handle of an rclpy publisher of the same type, entered as for :meth:`take`. Raises PublishError.
+        """
+        result = self._publish(pointer, self._into[0], None)
+        if result != _OK:
+            self._reset_error()
+            raise PublishError(f"publishing a sample failed with rcl's code {result}")
 
     def data(self, most: int | None = None) -> bytes:
         """Return up to ``most`` bytes of the sample that was taken last, for callers that decide by its sender."""

@@ -1,7 +1,8 @@
-"""Asks DDS discovery where readers listen: joins the robot's graph briefly as a bare participant, and leaves it again.
+"""Asks DDS discovery what endpoints announce: where readers listen, and in which partitions writers are.
 
-The participant has only discovery's own endpoints, so nobody sends data to it and no node appears. A discovery server announces all
-readers to it, as to a super client. Without a server, every participant announces its own.
+A bare participant joins the robot's graph briefly, and leaves it again. It has only discovery's own endpoints, so nobody sends data to
+it and no node appears. A discovery server announces all endpoints to it, as to a super client. Without a server, every participant
+announces its own.
 """
 
 from __future__ import annotations
@@ -12,15 +13,18 @@ import itertools
 import logging
 import secrets
 import socket
-from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import TypeVar
 
 from understudy.ros.dds import rtps
 from understudy.ros.dds.host_ids import VENDOR
-from understudy.ros.dds.rtps import Gap, Heartbeat, Participant, Reader, Sample
+from understudy.ros.dds.rtps import Gap, Heartbeat, Participant, Reader, Sample, Writer
 from understudy.ros.middleware import Locator
 
 _logger = logging.getLogger(__name__)
+
+T = TypeVar("T")
 
 AGAIN = 0.5
 """Seconds between two announcements of the participant while it stays: one may be lost."""
@@ -69,6 +73,55 @@ async def locators(
     server of a small graph has announced everything after half a second. ``address`` is this host's own, to which
     answers are sent. Raises OSError.
     """
+    return await _asked(lambda seen: seen.places(wanted), len(wanted), rtps.SUBSCRIPTIONS, address, discovery, within)
+
+
+async def partitions(
+    wanted: Collection[bytes], address: str, discovery: Discovery, *, within: float
+) -> dict[bytes, tuple[str, ...]]:
+    """Return the partitions of the writers with these GUIDs; none for a writer in the default one.
+
+    Everything else is as for :func:`locators`.
+    """
+    return await _asked(
+        lambda seen: seen.partitions(wanted), len(wanted), rtps.PUBLICATIONS, address, discovery, within
+    )
+
+
+@dataclass
+class _Announced:
+    """What the endpoints of a graph announced so far, by GUID; participants by prefix."""
+
+    participants: dict[bytes, Participant] = field(default_factory=dict)
+    readers: dict[bytes, Reader] = field(default_factory=dict)
+    writers: dict[bytes, Writer] = field(default_factory=dict)
+
+    def places(self, wanted: Iterable[bytes]) -> dict[bytes, tuple[Locator, ...]]:
+        """Return where the wanted readers listen, as far as known."""
+        places: dict[bytes, tuple[Locator, ...]] = {}
+        for guid in wanted:
+            if (reader := self.readers.get(guid)) is None:
+                continue
+            if reader.locators:
+                places[guid] = reader.locators
+            elif (participant := self.participants.get(guid[: rtps.PREFIX])) is not None:
+                places[guid] = participant.default
+        return places
+
+    def partitions(self, wanted: Iterable[bytes]) -> dict[bytes, tuple[str, ...]]:
+        """Return the partitions of the wanted writers, as far as known."""
+        return {guid: self.writers[guid].partitions for guid in wanted if guid in self.writers}
+
+
+async def _asked(
+    answer: Callable[[_Announced], dict[bytes, T]],
+    complete: int,
+    endpoints: rtps.Endpoints,
+    address: str,
+    discovery: Discovery,
+    within: float,
+) -> dict[bytes, T]:
+    """Visit the graph until an answer has this number of entries, or for ``within`` seconds."""
     loop = asyncio.get_running_loop()
     found = await loop.getaddrinfo(discovery.host, discovery.port, family=socket.AF_INET, type=socket.SOCK_DGRAM)
     with contextlib.ExitStack() as stack:
@@ -77,7 +130,8 @@ async def locators(
         listener.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(address))
         _bind(listener, discovery.domain)
         to = (str(found[0][4][0]), discovery.port)
-        visit = _Visit(wanted, Locator(address, listener.getsockname()[1]), to, discovery.prefix)
+        at = Locator(address, listener.getsockname()[1])
+        visit = _Visit(lambda seen: len(answer(seen)) == complete, endpoints, at, to, discovery.prefix)
         visit.transport, _ = await loop.create_datagram_endpoint(lambda: visit, sock=listener)
         stack.callback(visit.leave)
         with contextlib.suppress(TimeoutError):
@@ -87,7 +141,7 @@ async def locators(
                     with contextlib.suppress(TimeoutError):
                         async with asyncio.timeout(AGAIN):
                             await visit.over.wait()
-        return visit.found
+        return answer(visit.announced)
 
 
 def _first_port(domain: int) -> int:
@@ -106,36 +160,31 @@ def _bind(listener: socket.socket, domain: int) -> None:
 class _Visit(asyncio.DatagramProtocol):
     """One visit to a graph."""
 
-    def __init__(self, wanted: Collection[bytes], at: Locator, to: tuple[str, int], server: bytes) -> None:
+    def __init__(
+        self,
+        enough: Callable[[_Announced], bool],
+        endpoints: rtps.Endpoints,
+        at: Locator,
+        to: tuple[str, int],
+        server: bytes,
+    ) -> None:
+        self.announced = _Announced()
         self.over = asyncio.Event()
-        """Set once all wanted readers are known."""
-        self._wanted, self._at, self._to, self._server = wanted, at, to, server
+        """Set once enough is known."""
+        self._enough, self._endpoints = enough, endpoints
+        self._at, self._to, self._server = at, to, server
         self._prefix = VENDOR + secrets.token_bytes(10)
         self.transport: asyncio.DatagramTransport | None = None
         """The socket, while the participant is in the graph."""
-        self._participants: dict[bytes, Participant] = {}
-        self._readers: dict[bytes, tuple[Locator, ...]] = {}
         self._had: dict[bytes, set[int]] = {}
         self._heartbeats: dict[bytes, Heartbeat] = {}
         self._answers = itertools.count(1)
 
-    @property
-    def found(self) -> dict[bytes, tuple[Locator, ...]]:
-        """Return where the wanted readers listen, as far as known."""
-        places: dict[bytes, tuple[Locator, ...]] = {}
-        for guid in self._wanted:
-            if (own := self._readers.get(guid)) is None:
-                continue
-            if own:
-                places[guid] = own
-            elif (participant := self._participants.get(guid[: rtps.PREFIX])) is not None:
-                places[guid] = participant.default
-        return places
-
     def announce(self) -> None:
         """Announce the participant."""
         kind = "SUPER_CLIENT" if self._server else "SIMPLE"
-        self._send(rtps.announcement(self._prefix, self._at, lease=LEASE, kind=kind, to=self._server))
+        asked = self._endpoints
+        self._send(rtps.announcement(self._prefix, self._at, asked, lease=LEASE, kind=kind, to=self._server))
 
     def leave(self) -> None:
         """Announce that the participant leaves, and close the socket."""
@@ -172,11 +221,14 @@ class _Visit(asyncio.DatagramProtocol):
             self._heartbeats[submessage.writer] = submessage
         else:
             self._had.setdefault(submessage.writer, set()).add(submessage.number)
-            if isinstance(submessage.entity, Reader):
-                self._readers[submessage.entity.guid] = submessage.entity.locators
-            elif isinstance(submessage.entity, Participant):
-                self._participants[submessage.entity.prefix] = submessage.entity
-            if len(self.found) == len(self._wanted):
+            match submessage.entity:
+                case Reader() as reader:
+                    self.announced.readers[reader.guid] = reader
+                case Writer() as writer:
+                    self.announced.writers[writer.guid] = writer
+                case Participant() as participant:
+                    self.announced.participants[participant.prefix] = participant
+            if self._enough(self.announced):
                 self.over.set()
 
     def _answer(self, writer: bytes) -> None:
@@ -186,7 +238,7 @@ class _Visit(asyncio.DatagramProtocol):
         missing = list(itertools.islice((n for n in numbers if n not in had), rtps.MOST_MISSING))
         if self._server:
             places: tuple[Locator, ...] = ()
-        elif (participant := self._participants.get(writer[: rtps.PREFIX])) is not None:
+        elif (participant := self.announced.participants.get(writer[: rtps.PREFIX])) is not None:
             places = participant.discovery
         else:
             return  # the writer repeats the heartbeat, also after its participant was announced

@@ -1,0 +1,162 @@
+"""Decides whom a mux forwards: by the orders of monitors, and by standing orders while nobody gives any. Pure.
+
+Each decision has a token that only grows: the epoch of the gate object, and a count of the switches that the mux made by itself in this
+epoch. The gate object stays the commit point, so an order only passes on what was committed. But a monitor that was cut off does not know
+whom the mux has put in control meanwhile. Its order is refused until the monitor knows that switch, so it never undoes it by accident.
+
+All times are seconds of one monotonic clock of the process.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
+
+
+@dataclass(frozen=True, order=True)
+class Token:
+    """What orders all decisions about one workload. A greater one is newer."""
+
+    workload_created: float = 0.0
+    """When the RobotWorkload was created, by the API server: the epochs of one that was deleted and created again begin at 0."""
+    epoch: int = 0
+    """The epoch of the gate object."""
+    count: int = 0
+    """Number of the mux's own switches in this epoch."""
+
+
+@dataclass(frozen=True)
+class StandingOrder:
+    """Who is forwarded next, and after which silence, without another order."""
+
+    successors: tuple[str, ...] = ()
+    """The names of instances, the first choice first."""
+    silences: Mapping[str, float] = field(default_factory=dict)
+    """Seconds of silence by output. An instance that is silent on one of these outputs for so long is replaced."""
+
+
+@dataclass(frozen=True)
+class Order:
+    """What a monitor orders: the state of the gate object that it committed or read."""
+
+    workload_created: float
+    epoch: int
+    source: str
+    """The name of the instance to forward; empty for nobody."""
+    knows: Token = Token()
+    """The newest token that the monitor has seen in the mux's reports."""
+    standing: StandingOrder = StandingOrder()
+    revision: int = 0
+    """Grows with each standing order of one epoch."""
+
+    @property
+    def token(self) -> Token:
+        """Return the token of the decision."""
+        return Token(self.workload_created, self.epoch)
+
+
+@dataclass(frozen=True)
+class Control:
+    """Whom the mux forwards. It is kept on disk, so that a mux that restarts continues with it."""
+
+    token: Token = Token()
+    source: str = ""
+    """Empty for nobody."""
+    ordered: str = ""
+    """Whom the order of this epoch names. It differs from ``source`` after a switch of the mux's own."""
+    standing: StandingOrder = StandingOrder()
+    revision: int = -1
+    """Revision of the standing order."""
+    replaced: tuple[str, ...] = ()
+    """Whom the mux has replaced in this epoch: they are not forwarded again without an order."""
+
+
+class Refused(Exception):
+    """An order that is not carried out. The text is the reason."""
+
+
+def ordered(control: Control, order: Order) -> Control:
+    """Return the control after an order. The same order again changes nothing.
+
+    Raises Refused if the order is older than the control, or was given without knowing a switch of the mux's own.
+    """
+    present = replace(control.token, count=0)
+    if order.token < present:
+        raise Refused(
+            f"the order is of epoch {order.epoch}, and the mux has carried out one of epoch {present.epoch}"
+            if order.workload_created == present.workload_created
+            else "the order is of a RobotWorkload that was replaced by another one of this name"
+        )
+    if order.token == present:
+        if order.source != control.ordered:
+            raise Refused(
+                f"the order of epoch {order.epoch} names {_named(order.source)}, and an earlier one {_named(control.ordered)}"
+            )
+        if order.revision <= control.revision:
+            return control
+        return replace(control, standing=order.standing, revision=order.revision)
+    is_same_workload = order.workload_created == present.workload_created
+    if is_same_workload and control.token.count and order.knows < control.token:
+        raise Refused(
+            f"the mux has switched to {_named(control.source)} by itself (switch {control.token.count} of epoch {present.epoch}), which "
+            "the order does not take into account"
+        )
+    return Control(order.token, order.source, order.source, order.standing, order.revision)
+
+
+def _named(source: str) -> str:
+    return source or "nobody"
+
+
+@dataclass(frozen=True)
+class Heard:
+    """When instances were last heard, and since when the mux forwards the present one."""
+
+    since: float
+    """When the mux began to forward the present instance, or to listen."""
+    last: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """Time of the last sample by instance and output."""
+
+    def silent_at(self, source: str, silences: Mapping[str, float]) -> float:
+        """Return when an instance has been silent for too long, if it is not heard again; infinite if no silence counts."""
+        last = self.last.get(source, {})
+        return min(
+            (max(self.since, last.get(output, 0.0)) + most for output, most in silences.items()), default=math.inf
+        )
+
+    def drives(self, source: str, silences: Mapping[str, float], now: float) -> bool:
+        """Return whether an instance sends on all outputs whose silence counts."""
+        last = self.last.get(source, {})
+        return all(now - last.get(output, -math.inf) < most for output, most in silences.items())
+
+
+def due_at(control: Control, heard: Heard) -> float:
+    """Return when :func:`switched` must be asked at the latest; infinite if no standing order applies."""
+    if not control.source or not _successors(control):
+        return math.inf
+    return heard.silent_at(control.source, control.standing.silences)
+
+
+def switched(control: Control, heard: Heard, now: float) -> Control | None:
+    """Return the control after a switch of the mux's own; None if the present instance is heard, or nobody else is.
+
+    All samples that had arrived before ``now`` must have been noted: a process that stood still has not heard anybody meanwhile.
+    """
+    silences = control.standing.silences
+    if now < due_at(control, heard):
+        return None
+    for source in _successors(control):
+        if heard.drives(source, silences, now):
+            return replace(
+                control,
+                token=replace(control.token, count=control.token.count + 1),
+                source=source,
+                replaced=(*control.replaced, control.source),
+            )
+    return None
+
+
+def _successors(control: Control) -> tuple[str, ...]:
+    not_again: Collection[str] = {control.source, *control.replaced}
+    return tuple(one for one in control.standing.successors if one not in not_again)

@@ -1,0 +1,103 @@
+"""Forwards the samples of one topic from the writers of one partition or another to the robot's own readers, without deserializing them.
+
+The subscription of this process is in the partitions of all instances, and its publisher in none, by the profiles of the process
+(ros/dds/profiles.py). So each sends only to the side that it does not read from. One writer sends the samples of all instances, one
+instance after the other. A reader never receives samples of one writer out of order, so it receives none of an earlier instance after the
+first of a later one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from understudy.ros.runtime.arrival_wakeups import ArrivalWakeups
+from understudy.ros.runtime.graph_node import Graph
+from understudy.ros.runtime.interface_types import message_class
+from understudy.ros.runtime.sample_taking import Sample, SampleTaker
+
+DEPTH = 100
+"""Samples that wait for this process, per topic: those of a second at 100 Hz, while the process stands still."""
+
+HISTORY = 10
+"""Samples that are kept for a reliable reader until it has acknowledged them: the usual depth of ROS."""
+
+
+class ForwardedTopic:
+    """The subscription and the publisher of one topic. For use in one thread."""
+
+    def __init__(self, graph: Graph, topic: str, type_name: str, taker: SampleTaker, wakeups: ArrivalWakeups) -> None:
+        """Begin to receive. Raises TypeNotInstalled and NotReceivable."""
+        self.topic = topic
+        self._graph, self._type, self._taker, self._wakeups = graph, type_name, taker, wakeups
+        self._class = message_class(type_name)
+        self._reliable: bool | None = None
+        self._subscription: Any = None
+        self._offer: QoSProfile | None = None
+        self._publisher: Any = None
+        self.follow([], [])
+
+    def follow(self, writers: Sequence[QoSProfile], readers: Sequence[QoSProfile]) -> None:
+        """Match the QoS that the instances' writers offer and that the robot's readers request.
+
+        A subscription or publisher whose QoS changes is created again. The readers of the robot and the writers of the instances must be
+        discovered again then, so follow them before they are needed.
+        """
+        reliable = all(offer.reliability == ReliabilityPolicy.RELIABLE for offer in writers)
+        if reliable != self._reliable:
+            if self._subscription is not None:
+                self._wakeups.forget(self._subscription.handle)
+                self._graph.unsubscribe(self._subscription)
+            self._subscription = self._graph.subscribe(self.topic, self._type, depth=DEPTH, reliable=reliable)
+            self._wakeups.add(self._subscription.handle)
+            self._reliable = reliable
+        offer = offered(readers)
+        if offer != self._offer:
+            if self._publisher is not None:
+                self._graph.node.destroy_publisher(self._publisher)
+            self._publisher = self._graph.node.create_publisher(
+                self._class, self.topic, offer, event_callbacks=PublisherEventCallbacks(use_default_callbacks=False)
+            )
+            self._offer = offer
+
+    def drain(self, forwards: Callable[[Sample], bool]) -> int:
+        """Take all samples that have arrived, and forward those that a function accepts. Returns their number.
+
+        Raises TakeError and PublishError.
+        """
+        forwarded = 0
+        with self._subscription.handle, self._publisher.handle:
+            source, target = self._subscription.handle.pointer, self._publisher.handle.pointer
+            while (sample := self._taker.take(source, with_data=False)) is not None:
+                if forwards(sample):
+                    self._taker.publish(target)
+                    forwarded += 1
+        return forwarded
+
+    def close(self) -> None:
+        """Remove both."""
+        self._wakeups.forget(self._subscription.handle)
+        self._graph.unsubscribe(self._subscription)
+        self._graph.node.destroy_publisher(self._publisher)
+
+
+def offered(readers: Sequence[QoSProfile]) -> QoSProfile:
+    """Return the QoS that matches all readers: reliable, and for each other policy the strictest that one of them requests."""
+    latched = any(request.durability == DurabilityPolicy.TRANSIENT_LOCAL for request in readers)
+    offer = QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=HISTORY,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+    # A request of 0 is one for nothing.
+    if deadlines := [request.deadline for request in readers if request.deadline.nanoseconds]:
+        offer.deadline = min(deadlines, key=lambda one: one.nanoseconds)
+    leases = [request for request in readers if request.liveliness_lease_duration.nanoseconds]
+    if leases:
+        strictest = min(leases, key=lambda one: one.liveliness_lease_duration.nanoseconds)
+        offer.liveliness, offer.liveliness_lease_duration = strictest.liveliness, strictest.liveliness_lease_duration
+    return offer
