@@ -17,7 +17,7 @@ from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Gate, Instance
 from understudy.failover.pinned import PinnedPod
 from understudy.kube.gates.base import Proof
-from understudy.monitor.observe.robot.known_senders import KnownSender, OutputSender
+from understudy.monitor.observe.robot.known_senders import Caller, KnownSender, OutputSender
 from understudy.trees.core.health_tree import Verdict
 
 STARTUP = 0.1
@@ -93,6 +93,9 @@ class HealthObserver:
         return
 
     def known_senders(self) -> Sequence[KnownSender]:
+        return ()
+
+    def callers(self) -> Sequence[Caller]:
         return ()
 
     def output_senders(self) -> Sequence[OutputSender]:

@@ -92,6 +92,13 @@ class Middleware(ABC):
     # -- Who sends and who reads --------------------------------------------------------------------------------------
 
     @abstractmethod
+    def requests(self, output: Output) -> list[str]:
+        """Return the middleware's names of the channels for an output's requests, or for its goals and cancellations.
+
+        Empty for a topic.
+        """
+
+    @abstractmethod
     def host_of(self, gid: bytes) -> bytes:
         """Return the part of an endpoint's GID that all endpoints of its host have in common."""
 

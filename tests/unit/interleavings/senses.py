@@ -18,7 +18,14 @@ from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotVerified
 from understudy.failover.pinned import PinnedPod
 from understudy.kube.gates.base import Proof
-from understudy.monitor.observe.robot.known_senders import REMEMBERED, KnownSender, KnownSenders, OutputSender, host_at
+from understudy.monitor.observe.robot.known_senders import (
+    REMEMBERED,
+    Caller,
+    KnownSender,
+    KnownSenders,
+    OutputSender,
+    host_at,
+)
 from understudy.trees.core.health_tree import Verdict
 
 GAP = 0.5
@@ -164,6 +171,9 @@ class HealthObserver:
 
     def known_senders(self) -> Sequence[KnownSender]:
         return self._senders.all()
+
+    def callers(self) -> Sequence[Caller]:
+        return ()
 
     def output_senders(self) -> Sequence[OutputSender]:
         known = {sender.ip: sender for sender in self._senders.all()}

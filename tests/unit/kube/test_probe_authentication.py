@@ -45,6 +45,16 @@ def test_a_datagram_with_a_mac_has_the_agreed_format():
     assert probes.sign(b"key", 7) == b"USP2" + name + (7).to_bytes(8, "big") + tag
 
 
+def test_whether_the_probes_of_a_pod_would_count_is_known():
+    careful = ProbeReceiver(ProbeKeys())
+    assert not careful.recognizes(UID)
+    careful.trust(UID, b"key")
+    careful.trust_unsigned(OTHER)
+    assert careful.recognizes(UID)
+    assert careful.recognizes(OTHER)
+    assert ProbeReceiver().recognizes(UID), "without keys, those of all senders count"
+
+
 async def test_nobody_can_forge_the_probes_of_a_pod(careful, deliver):
     careful.trust(UID, b"key")
     authentic = probes.sign(b"key", 1)

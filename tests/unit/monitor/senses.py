@@ -17,7 +17,7 @@ from understudy.monitor.observe.instance_roles import InstanceRoles
 from understudy.monitor.observe.robot.context_detection import SituationState
 from understudy.monitor.observe.robot.degraded_tree import BusyReason
 from understudy.monitor.observe.robot.health_observer import HealthObserver
-from understudy.monitor.observe.robot.known_senders import KnownSender, OutputSender, host_at
+from understudy.monitor.observe.robot.known_senders import Caller, KnownSender, OutputSender, host_at
 from understudy.monitor.observe.robot.robot_readers import RobotReaders
 from understudy.monitor.observe.senses import Senses
 from understudy.ros.runtime.graph_node import Endpoint, Graph
@@ -91,6 +91,8 @@ class GivenObserver(HealthObserver):
         """The instances that exist, and those that are gone and may still send."""
         self.heard: list[OutputSender] = []
         """Who sent on an output."""
+        self.clients: list[Caller] = []
+        """Who has a client of an output."""
         self.troubles: list[str] = []
         self.unpublished: list[str] = []
         self.tree: Snapshot | None = None
@@ -109,6 +111,9 @@ class GivenObserver(HealthObserver):
 
     def output_senders(self) -> Sequence[OutputSender]:
         return self.heard
+
+    def callers(self) -> Sequence[Caller]:
+        return self.clients
 
     def verdict(self, *, now: float, since: float) -> Verdict:
         return self.health

@@ -2,6 +2,7 @@
 
 publish TOPIC RATE [BYTES]    std_msgs/String, best effort and reliable readers match
 robot TOPIC SERVICE ACTION    subscribes, serves, and calls: every reader that an output can have on a robot's side
+call SERVICE ACTION           a client of a std_srvs/Trigger service and of a Fibonacci action
 work ACTION                   test_msgs/Fibonacci action server, with a goal from a client of its own that is worked on
                               until a line is read: "succeed" ends the goal, any other one the server, but for lists of
                               numbers, which are fed back
@@ -171,6 +172,21 @@ def robot(topic: str, service: str, action: str) -> None:
     del kept
 
 
+def call(service: str, action: str) -> None:
+    import rclpy
+    from rclpy.action import ActionClient
+    from rclpy.node import Node
+    from std_srvs.srv import Trigger
+    from test_msgs.action import Fibonacci
+
+    rclpy.init()
+    node = Node("caller")
+    kept = [node.create_client(Trigger, service), ActionClient(node, Fibonacci, action)]
+    print("ready", flush=True)
+    rclpy.spin(node)
+    del kept
+
+
 def work(action: str) -> None:
     import threading
 
@@ -299,6 +315,7 @@ def look(topic: str, service: str) -> None:
 
 if __name__ == "__main__":
     {
+        "call": call,
         "capture": capture,
         "log": log,
         "look": look,

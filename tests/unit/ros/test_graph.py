@@ -15,6 +15,7 @@ from tests.support.golden import assert_golden
 pytest.importorskip("rclpy")
 
 from understudy.api.kinds.robot_workload import Output
+from understudy.monitor.judge.possible_senders import FORGOTTEN
 from understudy.ros.observe.topic_watch import TopicWatch
 from understudy.ros.runtime.graph_node import Graph
 from understudy.trees.core.health_tree import WatchedTopic
@@ -36,6 +37,18 @@ def test_endpoints_of_topics_services_and_actions_are_found(graph, processes, ev
     eventually(lambda: {endpoint.node for endpoint in graph.endpoints(SERVICE)} == {"/robot"})
     hosts = {endpoint.gid[:4] for output in (TOPIC, SERVICE, ACTION) for endpoint in graph.endpoints(output)}
     assert len(hosts) == 1
+
+
+def test_the_clients_of_services_and_actions_are_found_and_told_from_their_servers(graph, processes, eventually):
+    processes.node("robot", "/chat", "/snap", "/goto")
+    eventually(lambda: [len(graph.clients(output)) for output in (TOPIC, SERVICE, ACTION)] == [0, 1, 2])  # goal, cancel
+    eventually(lambda: [len(graph.servers_of(output)) for output in (TOPIC, SERVICE, ACTION)] == [0, 1, 2])
+    caller = processes.node("call", "/snap", "/goto")
+    eventually(lambda: [len(graph.clients(output)) for output in (SERVICE, ACTION)] == [2, 4])
+    eventually(lambda: {end.node for end in graph.clients(SERVICE)} == {"/robot", "/caller"})
+    assert [len(graph.servers_of(output)) for output in (SERVICE, ACTION)] == [1, 2]
+    caller.kill()  # without a word: discovery takes up to 20 s to forget it
+    eventually(lambda: [len(graph.clients(output)) for output in (SERVICE, ACTION)] == [1, 2], FORGOTTEN)
 
 
 def test_publishers_with_different_types_have_no_common_type(graph, eventually):

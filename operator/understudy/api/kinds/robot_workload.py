@@ -543,7 +543,8 @@ class RobotWorkloadStatus(Model):
     the gate is open (the active pod and, with a reflex, one standby) arrive, the robot reads no output topic at a port
     outside the gate, and no agent reports a network interface besides that of the pod network. SoleDriver: the monitor
     hears no instance that the gate does not let through, by the messages on all topics of spec.outputs and by probe
-    packets; Unknown if a sender is no known instance. OutputsRead: the robot reads every topic of spec.outputs at gated
+    packets; Unknown if a sender is no known instance, or if an instance that drove before may still call a service or
+    an action, and nothing shows whether it does. OutputsRead: the robot reads every topic of spec.outputs at gated
     ports. Recovering: a recovery is in progress. Paused: spec.pause is in effect. WithinBudget (if the policy has
     limits.budget): the budget allows another recovery. BroughtUp: bringUp and the pools' initializations have succeeded
     on every instance. Reflex (if spec.gate.reflex is set): the gate is also open for a standby, so that the robot's

@@ -100,6 +100,10 @@ class Proof(Protocol):
     def trust_unsigned(self, uid: str) -> None:
         """Count the packets of a pod although nothing authenticates them, because its agent is too old."""
 
+    def recognizes(self, uid: str) -> bool:
+        """Return whether packets of a pod would count. If they would not, their absence shows nothing."""
+        return True
+
     def last(self, uid: str) -> float | None:
         """Return when a packet of a pod last passed the gate, in Unix seconds; None if none did."""
 

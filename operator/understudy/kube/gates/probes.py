@@ -139,6 +139,10 @@ class ProbeKeys:
             if len(self._unsigned) > Arrivals.PODS:
                 self._unsigned.popitem(last=False)
 
+    def knows(self, uid: str) -> bool:
+        """Return whether probes of a pod count."""
+        return uid in self._pods or uid in self._unsigned
+
     def filter(self) -> bytes:
         """Return the program with which a socket receives what could count, and nothing else."""
         forms = [probe_filter.Form(_SIGNED.size, _SIGNED_MAGIC, self._named)] if self._named else []
@@ -371,6 +375,10 @@ class ProbeReceiver:
         if self._keys is not None:
             self._keys.trust_unsigned(uid)
             self._renew_filter()
+
+    def recognizes(self, uid: str) -> bool:
+        """Return whether probes of a pod would count."""
+        return self._keys is None or self._keys.knows(uid)
 
     def last(self, uid: str) -> float | None:
         """Return when a pod's last probe arrived, in Unix seconds; None if none did."""

@@ -1,7 +1,8 @@
 """Judges, for as long as the workload lives, whether an instance reaches the robot that the gate does not let through.
 
 The signs are samples on all outputs that are topics, by their senders' addresses, and packets that pass the gate, by the senders' UIDs.
-Instances whose pods are being deleted or are gone count too: their processes may live on.
+Instances whose pods are being deleted or are gone count too: their processes may live on. If the packets of a former driver would not
+count, discovery shows whether it could still call a service or an action (possible_senders.py).
 """
 
 from __future__ import annotations
@@ -17,8 +18,9 @@ from understudy.clock import ClockSteps
 from understudy.failover.interfaces import Gate, Instance
 from understudy.failover.pinned import PinnedPod
 from understudy.kube.gates.base import Proof
+from understudy.monitor.judge.possible_senders import PossibleSender, PossibleSenders
 from understudy.monitor.notices import ConditionReport, LeaksCounted, Notices
-from understudy.monitor.observe.robot.known_senders import KnownSender, OutputSender
+from understudy.monitor.observe.robot.known_senders import Caller, KnownSender, OutputSender
 
 LASTS = 1.0
 """Seconds between the first and the last sign of a sender after which it counts. The network may take that long to enforce a change."""
@@ -194,7 +196,7 @@ def strangers(tracks: Tracks, now: float) -> tuple[str, ...]:
     return tuple(sorted(f"{sign.via} by {sign.name}" for sign in heard))
 
 
-def judge(tracks: Tracks, active: str, now: float) -> ConditionReport:
+def judge(tracks: Tracks, active: str, now: float, possible: Sequence[PossibleSender] = ()) -> ConditionReport:
     """Return status, reason and message of the condition SoleDriver. ``active`` is the pod that the gate names, or empty."""
     heard = [one for one in tracks.values() if one.lasts and one.is_heard(now)]
     if found := leaks(tracks, now):
@@ -206,13 +208,21 @@ def judge(tracks: Tracks, active: str, now: float) -> ConditionReport:
             f"Instances reach the robot although the gate does not let them through: {listed}. "
             + (f"The gate lets through {active}." if active else "The gate is closed until they are silent."),
         )
-    if unknown := strangers(tracks, now):
-        return (
-            "Unknown",
-            UNKNOWN_SENDER,
+    texts: list[str] = []
+    unknown = strangers(tracks, now)
+    if unknown:
+        texts.append(
             f"A sender that is no known instance of this workload reaches the robot: {'; '.join(unknown)}. It is a second driver, unless "
-            "it is a tool.",
+            "it is a tool."
         )
+    if possible:
+        listed = "; ".join(f"{', '.join(one.outputs)} by {one.name}" for one in possible)
+        texts.append(
+            f"Discovery still finds instances that the gate does not let through, and that may call the robot: {listed}. This monitor "
+            "knows no agent that sends test packets for them, so nothing shows whether the gate holds them back."
+        )
+    if texts:
+        return "Unknown", UNKNOWN_SENDER if unknown else "PossibleSender", " ".join(texts)
     return "True", "NoOtherSender", "The monitor hears nobody whom the gate does not let through."
 
 
@@ -225,6 +235,9 @@ class Outputs(Protocol):
     def known_senders(self) -> Sequence[KnownSender]:
         """Return the instances that exist, and those that are gone and may still send."""
 
+    def callers(self) -> Sequence[Caller]:
+        """Return which instances have a client of an output that is a service or an action."""
+
 
 class SoleDriver:
     """Judges and reports whether one workload has a sole driver. Times are Unix seconds."""
@@ -232,6 +245,7 @@ class SoleDriver:
     def __init__(self, gate: Gate, probes: Proof, outputs: Outputs, notices: Notices) -> None:
         self._gate, self._probes, self._outputs, self._notices = gate, probes, outputs, notices
         self._tracks: Tracks = {}
+        self._possible = PossibleSenders(probes, outputs)
         self._fenced: dict[str, float] = {}
         self._through: frozenset[str] = frozenset()
         self._names: frozenset[str] = frozenset()
@@ -287,12 +301,17 @@ class SoleDriver:
             self._tracks = {key: one for key, one in self._tracks.items() if one.sign.uid}
             self._fenced |= dict.fromkeys(was_let_through - through, now)
             self._through, self._names = through, names
-            known = {i.uid for i in instances} | {one.uid for one in self._outputs.known_senders()}
-            self._fenced = {uid: at for uid, at in self._fenced.items() if uid not in through and uid in known}
+            there = {i.uid for i in instances} | {one.uid for one in self._outputs.known_senders()}
+            self._fenced = {uid: at for uid, at in self._fenced.items() if uid not in through and uid in there}
         elif 0 <= now - self._updated < PERIOD:
             return False
         self._updated = now
-        signs = self._signs(instances, now)
+        known = {one.uid: one for one in self._outputs.known_senders()}
+        leaving = {i.uid for i in instances if i.terminating}
+        gone = leaving | {uid for uid, one in known.items() if not one.listed}
+        drove = self._fenced.keys() | {uid for uid, one in known.items() if one.pinned}
+        self._possible.update([one for uid, one in known.items() if uid in drove], gone, through, now)
+        signs = self._signs(instances, known, drove | gone, now)
         self._tracks = tracked(self._tracks, signs, self._fenced, let_through=through, now=now)
         return is_other
 
@@ -302,23 +321,18 @@ class SoleDriver:
             self._updated += step
             self._fenced = {uid: at + step for uid, at in self._fenced.items()}
             self._tracks = {key: one.moved(step) for key, one in self._tracks.items()}
+            self._possible.shift(step)
 
-    def _signs(self, instances: Sequence[Instance], now: float) -> list[Sign]:
-        leaving = {i.uid for i in instances if i.terminating}
-        known = {one.uid: one for one in self._outputs.known_senders()}
-
-        def is_former(uid: str) -> bool:
-            return (
-                uid in self._fenced or uid in leaving or (uid in known and (known[uid].pinned or not known[uid].listed))
-            )
-
+    def _signs(
+        self, instances: Sequence[Instance], known: Mapping[str, KnownSender], former: Collection[str], now: float
+    ) -> list[Sign]:
         found = [
             Sign(
                 one.name,
                 one.uid,
                 one.topic,
                 one.last,
-                is_former(one.uid),
+                one.uid in former,
                 b"" if one.uid else one.host,
                 interval=one.interval,
             )
@@ -331,7 +345,7 @@ class SoleDriver:
         }
         for uid, last in passed.items():
             if last is not None and uid in names:
-                found.append(Sign(names[uid], uid, PROBES, last, is_former(uid), interval=PROBED))
+                found.append(Sign(names[uid], uid, PROBES, last, uid in former, interval=PROBED))
             elif last is not None:
                 found.append(Sign(f"the pod with UID {uid}", "", PROBES, last, pod_uid=uid, interval=PROBED))
         return found
@@ -339,13 +353,16 @@ class SoleDriver:
     def may_be_driven(self, now: float) -> bool:
         """Return whether an instance that drove before may still drive, so that the gate must not open for another one.
 
-        It was heard of late, or this monitor has not listened for long enough since it can hear it.
+        It was heard of late, or this monitor has not listened for long enough since it can hear it, or its pod is gone and discovery may
+        still forget its clients.
         """
         is_deaf = self._gate.unanswered_since is not None or time.monotonic() - self._listening_since < LISTEN
         if is_deaf and any(pod.uid != self.rightful for pod in self._gate.state.pinned):
             return True
         signs = (one.sign for one in self._tracks.values() if one.is_heard(now))
-        return any(sign.uid and sign.is_former and sign.uid != self.rightful for sign in signs)
+        if any(sign.uid and sign.is_former and sign.uid != self.rightful for sign in signs):
+            return True
+        return self._possible.may_drive(now, self.rightful)
 
     def identities(self) -> tuple[PinnedPod, ...]:
         """Return by what a new monitor recognizes the instances that leak, whether the gate ever let them through or not."""
@@ -369,6 +386,6 @@ class SoleDriver:
 
     def report(self, now: float) -> None:
         """Report the judgement."""
-        judged = judge(self._tracks, self._gate.state.active, now)
+        judged = judge(self._tracks, self._gate.state.active, now, self._possible.lasting(now))
         if self._notices.condition(CONDITION, *judged) and judged[0] != "True":
             self._notices.event("Warning", judged[1], judged[2])

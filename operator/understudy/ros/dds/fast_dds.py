@@ -90,6 +90,12 @@ class FastDds(Middleware):
 
         return profiles.instance_profiles_xml(tasks, outputs, reflex)
 
+    def requests(self, output: Output) -> list[str]:
+        """Return the DDS topics."""
+        from understudy.ros.dds import profiles
+
+        return [] if output.topic else profiles.command_writers(output)
+
     def host_of(self, gid: bytes) -> bytes:
         """Return the vendor and the host id."""
         return gid[HOST]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import NodeNameNonExistentError
@@ -17,6 +17,9 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from understudy.ros.rmw import MIDDLEWARE
 from understudy.ros.runtime.interface_types import message_class
 from understudy.ros.runtime.node_options import own_context, plain_node
+
+if TYPE_CHECKING:
+    from understudy.api.kinds.robot_workload import Output
 
 
 class NotReceivable(RuntimeError):
@@ -143,6 +146,23 @@ class Graph:
     def servers(self, service: str) -> list[Endpoint]:
         """Return the readers of a service's requests."""
         return _endpoints(self.node.get_subscriptions_info_by_topic(f"rq{service}Request", no_mangle=True))
+
+    def clients(self, output: Output) -> list[Endpoint]:
+        """Return the writers of an output's requests, goals and cancellations. Empty for a topic.
+
+        They show who could call, and not who does. Receiving the requests would show that, but a further reader of them
+        disturbs the service. rmw_fastrtps compares the number of readers of requests with that of writers of replies,
+        so no client would find the service ready, except for a moment in which the server does not receive yet.
+        """
+        found = (self.node.get_publishers_info_by_topic(name, no_mangle=True) for name in MIDDLEWARE.requests(output))
+        return [end for infos in found for end in _endpoints(infos)]
+
+    def servers_of(self, output: Output) -> list[Endpoint]:
+        """Return the readers of an output's requests, goals and cancellations. Empty for a topic."""
+        found = (
+            self.node.get_subscriptions_info_by_topic(name, no_mangle=True) for name in MIDDLEWARE.requests(output)
+        )
+        return [end for infos in found for end in _endpoints(infos)]
 
     def endpoints(self, output: Crossing) -> list[Endpoint]:
         """Return the endpoints for an output that workloads (and robots, for services and actions) have opened.

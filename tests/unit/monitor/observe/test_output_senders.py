@@ -11,14 +11,19 @@ pytest.importorskip("rclpy")
 
 from geometry_msgs.msg import Twist
 from std_msgs.msg import String
+from std_srvs.srv import Trigger
 
 from tests.unit.monitor.cluster_objects import ClusterObjects, parsed_spec
+from tests.unit.monitor.gates import PacketsOfReached
 from tests.unit.monitor.observed_robot import count, observing, own_address, policy_with, publisher, until
+from understudy.api.kinds.robot_workload import Output
 from understudy.clock import CLOCK
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.pinned import PinnedPod
+from understudy.monitor.judge.possible_senders import LASTS
+from understudy.monitor.judge.sole_driver import SoleDriver
 from understudy.monitor.observe.robot.health_observer import HealthObserver
-from understudy.monitor.observe.robot.known_senders import host_at
+from understudy.monitor.observe.robot.known_senders import Caller, host_at
 from understudy.ros.observe.topic_watch import SourceRecord
 
 pytestmark = pytest.mark.ros
@@ -93,6 +98,56 @@ async def test_another_instance_is_heard_on_each_output_with_the_period_of_its_s
     mean = (arrivals[-1] - arrivals[0]) / (len(arrivals) - 1)
     assert readers.period_of_others(active) == pytest.approx(mean)
     assert readers.period_of_others(former) == 0.0
+
+
+SNAP = {"service": "/snap", "type": "std_srvs/srv/Trigger"}
+
+
+@pytest.fixture
+def calling(observer: HealthObserver) -> HealthObserver:
+    """An observer of a robot's service, in a process that has a client of it."""
+    observer.follow(policy_with({"topic": {"name": "/beat", "gap": "1s"}}), parsed_spec(outputs=[BEAT, SNAP]))
+    observer.graph.node.create_client(Trigger, "/snap")
+    return observer
+
+
+def test_an_instance_with_a_client_of_a_service_could_call_it(calling: HealthObserver) -> None:
+    instance = Instance("w-1", "uid-1", ip=own_address(calling))
+    until(calling, calling.callers, instances=[instance])
+    assert calling.callers() == [Caller("/snap", ("uid-1",))]
+    calling.drain([], "", [PinnedPod(name="w-1", uid="uid-1", ip=instance.ip)])
+    assert calling.callers() == [Caller("/snap", ("uid-1",))], "also if its pod is gone"
+    calling.drain(
+        [Instance("w-2", "uid-2", ip=instance.ip)], "w-2", [PinnedPod(name="w-1", uid="uid-1", ip=instance.ip)]
+    )
+    assert calling.callers() == [Caller("/snap", ("uid-2", "uid-1"))], "another pod has its address"
+    calling.drain([Instance("w-3", "uid-3", ip="10.255.255.1")], "w-3")
+    calling.drain([Instance("w-3", "uid-3", ip="fd00::3")], "w-3")
+    assert "uid-3" not in {uid for one in calling.callers() for uid in one.may_be}
+
+
+def test_an_instance_that_serves_an_output_is_called_by_the_robot(calling: HealthObserver) -> None:
+    instance = Instance("w-1", "uid-1", ip=own_address(calling))
+    until(calling, calling.callers, instances=[instance])
+    calling.graph.node.create_service(Trigger, "/snap", lambda request, response: response)
+    until(calling, lambda: not calling.callers(), instances=[instance])
+
+
+def test_a_vanished_pod_whose_process_lives_makes_the_sole_driver_unknown_to_a_new_monitor(
+    calling: HealthObserver,
+) -> None:
+    objects, active = ClusterObjects(), Instance("w-2", "uid-2", ip="10.255.255.1", has_agent=False)
+    pinned = (PinnedPod(name="w-1", uid="uid-1", ip=own_address(calling)),)
+    objects.put_gate(GateState(epoch=4, active="w-2", active_uid="uid-2", pinned=pinned))
+    judged, now = SoleDriver(objects.gate, PacketsOfReached(), calling, objects.notices), time.time()
+    until(calling, lambda: calling.graph.clients(Output.model_validate(SNAP)), instances=[active])
+    calling.drain([active], "w-2", pinned)
+    judged.update([active], now)
+    judged.update([active], now + LASTS)
+    judged.report(now + LASTS)
+    status, reason, message = objects.notices.conditions["SoleDriver"]
+    assert (status, reason) == ("Unknown", "PossibleSender")
+    assert "/snap by w-1" in message
 
 
 def test_two_samples_far_apart_do_not_make_a_slow_sender_where_another_one_is_fast(observer: HealthObserver) -> None:

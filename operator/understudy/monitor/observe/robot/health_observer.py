@@ -18,7 +18,14 @@ from understudy.failover.pinned import PinnedPod
 from understudy.monitor.observe.objects.resource_meter import ResourceMeter
 from understudy.monitor.observe.robot.context_detection import ContextDetection, SituationState
 from understudy.monitor.observe.robot.degraded_tree import BusyReason, DegradedTrees
-from understudy.monitor.observe.robot.known_senders import REMEMBERED, KnownSender, KnownSenders, OutputSender, host_at
+from understudy.monitor.observe.robot.known_senders import (
+    REMEMBERED,
+    Caller,
+    KnownSender,
+    KnownSenders,
+    OutputSender,
+    host_at,
+)
 from understudy.ros.observe.offered_qos import offers
 from understudy.ros.observe.sample_rings import SampleRing
 from understudy.ros.observe.topic_watch import TopicWatch
@@ -222,9 +229,7 @@ class HealthObserver:
 
     def output_senders(self) -> Sequence[OutputSender]:
         """Return who sent on each output that is a topic of late, and when last. This pod is left out."""
-        hosts: dict[bytes, list[KnownSender]] = {}
-        for sender in self._senders.all():
-            hosts.setdefault(host_at(sender.ip), []).append(sender)
+        hosts = self._senders_by_host()
         unrecognized = hosts.pop(b"", [])
         found: list[OutputSender] = []
         for topic in self.output_topics:
@@ -234,12 +239,34 @@ class HealthObserver:
             for host, record in records.items():
                 if record.last is None or host == self.own_host or time.time() - record.last > REMEMBERED:
                     continue
-                senders = sorted(hosts.get(host, ()), key=lambda one: not one.listed)
+                senders = hosts.get(host, [])
                 name = senders[0].name if senders else self._nodes_at(host, topic)
                 uid = senders[0].uid if senders else ""
                 may_be = tuple(one.uid for one in senders or unrecognized)
                 interval = intervals[host] if math.isfinite(intervals[host]) else usual
                 found.append(OutputSender(topic, name, uid, may_be, record.last, host, interval))
+        return found
+
+    def _senders_by_host(self) -> dict[bytes, list[KnownSender]]:
+        """Return the known instances by what identifies their host in GIDs. Those that exist come first."""
+        hosts: dict[bytes, list[KnownSender]] = {}
+        for sender in sorted(self._senders.all(), key=lambda one: not one.listed):
+            hosts.setdefault(host_at(sender.ip), []).append(sender)
+        return hosts
+
+    def callers(self) -> Sequence[Caller]:
+        """Return which instances have a client of an output that is a service or an action, by discovery.
+
+        One that serves the output itself is left out: the robot calls it.
+        """
+        hosts = self._senders_by_host()
+        hosts.pop(b"", None)
+        found: list[Caller] = []
+        for output in self._outputs:
+            calling = {MIDDLEWARE.host_of(end.gid) for end in self.graph.clients(output)} & hosts.keys()
+            if calling:
+                calling -= {MIDDLEWARE.host_of(end.gid) for end in self.graph.servers_of(output)}
+            found += [Caller(output.name, tuple(one.uid for one in hosts[host])) for host in sorted(calling)]
         return found
 
     def _nodes_at(self, host: bytes, topic: str) -> str:

@@ -71,6 +71,15 @@ class OutputSender:
     """
 
 
+@dataclass(frozen=True)
+class Caller:
+    """Who has a client of an output that is a service or an action. It could call, and nothing shows whether it does."""
+
+    output: str
+    may_be: tuple[str, ...]
+    """The UIDs of the instances that it may be, as for :class:`OutputSender`."""
+
+
 class KnownSenders:
     """The known instances of one workload."""
 
