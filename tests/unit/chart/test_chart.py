@@ -97,13 +97,23 @@ def test_the_policy_of_labels_uses_the_names_of_the_code(render: Render) -> None
     assert f"endsWith('{names.MONITOR_ACCOUNT_ENDING}')" in text.replace("''", "'")
 
 
-def test_the_policy_of_new_pods_names_the_labels_that_the_code_selects_by(render: Render) -> None:
-    policy = one(render(), "ValidatingAdmissionPolicy", "understudy-new-pods")
-    text = " ".join(yaml.safe_dump(policy, width=10_000).replace("''", "'").split())
-    listed = ", ".join(
-        f"'{label}'" for label in (names.WORKLOAD, names.INSTANCE, names.POOL, names.HELD, names.MONITORED)
-    )
-    assert text.count(f"[{listed}]") == 2
+def test_the_policies_of_new_pods_and_controllers_name_the_labels_that_the_code_selects_by(render: Render) -> None:
+    labels = (names.WORKLOAD, names.INSTANCE, names.POOL, names.HELD, names.MONITORED, names.COMPONENT)
+    listed = ", ".join(f"'{label}'" for label in labels)
+    for name, count in (("new-pods", 2), ("controllers", 3)):
+        policy = one(render(), "ValidatingAdmissionPolicy", f"understudy-{name}")
+        text = " ".join(yaml.safe_dump(policy, width=10_000).replace("''", "'").split())
+        assert text.count(f"[{listed}]") == count
+
+
+def test_the_policy_of_controllers_matches_no_write_of_a_failover(render: Render) -> None:
+    """Not the gate, a pod, or the scale of a ReplicaSet: the API server does not look at the policy then."""
+    policy = one(render(), "ValidatingAdmissionPolicy", "understudy-controllers")
+    matched = {
+        resource for rule in policy["spec"]["matchConstraints"]["resourceRules"] for resource in rule["resources"]
+    }
+    assert not matched & {"networkpolicies", "pods", "replicasets/scale", "*"}
+    assert not [resource for resource in matched if "/" in resource]
 
 
 def test_an_old_kubernetes_is_refused(helm: str) -> None:
