@@ -38,9 +38,10 @@ def test_peers_and_instances_take_part_in_the_graph_and_only_instances_send_prob
     assert _who(spec, "UDP", names.PROBE_PORT) == OURS
 
 
-def test_agents_of_the_namespace_may_ask_a_monitor_whether_it_answers() -> None:
+def test_instances_of_the_namespace_and_nobody_else_may_ask_a_monitor_whether_it_answers() -> None:
     spec = control_plane_policies.policy("w", Reach(peers=({"namespaceSelector": {}},)), ())["spec"]
-    assert _who(spec, "TCP", names.PROBE_PORT) == [NAMESPACE]
+    instances = {"matchExpressions": [{"key": names.WORKLOAD, "operator": "Exists"}]}
+    assert _who(spec, "TCP", names.PROBE_PORT) == [{"podSelector": instances}]
     assert _who(spec, "UDP", names.DISCOVERY_PORT) == [{"namespaceSelector": {}}, *OURS]
 
 

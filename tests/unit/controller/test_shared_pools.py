@@ -262,7 +262,9 @@ def test_only_monitors_reach_the_agent_of_an_unclaimed_pod() -> None:
     assert "egress" not in policy["spec"]
     control, health = policy["spec"]["ingress"]
     assert [port["port"] for port in control["ports"]] == [names.AGENT_PORT]
-    assert control["from"] == [{"podSelector": {"matchLabels": {names.COMPONENT: "monitor"}}}]
+    serves = [{"key": names.MONITORED, "operator": "Exists"}]
+    monitors = {"matchLabels": {names.COMPONENT: "monitor"}, "matchExpressions": serves}
+    assert control["from"] == [{"podSelector": monitors}]
     assert health == {"ports": [{"protocol": "TCP", "port": names.AGENT_HEALTH_PORT}]}
 
 

@@ -12,6 +12,9 @@ from understudy.kube.client import Object
 from understudy.kube.gates.base import Reach
 from understudy.kube.gates.policy_parts import addresses, network_policy, ports, protectors
 
+_INSTANCES: Object = {"podSelector": {"matchExpressions": [{"key": names.WORKLOAD, "operator": "Exists"}]}}
+"""The instances of all workloads of the namespace, as a peer. Only they have an agent that may be cut off."""
+
 
 def reach(observed: Observed, spec: RobotWorkloadSpec) -> Reach:
     """Return with whom the instances of a workload may exchange packets."""
@@ -31,7 +34,8 @@ def policy(workload: str, within: Reach, metrics_from: Sequence[Object]) -> Obje
     """Return the policy of the monitor and the discovery server.
 
     Those whom the instances may reach discover the robot's graph and are observed, and the instances do so too. An agent that is cut off
-    asks monitors of the namespace whether they answer, by TCP at the port of the probes. ``metrics_from`` are the peers that read metrics.
+    asks its monitor and other pods of the namespace whether they answer, by TCP at the port of the probes. These may be monitors of other
+    workloads, so the instances of all workloads of the namespace may ask. ``metrics_from`` are the peers that read metrics.
     """
     ours: list[Object] = [{"podSelector": {"matchLabels": {names.WORKLOAD: workload}}}, protectors(workload)]
     ours += [{"podSelector": dict(within.reference)}] if within.reference else []
@@ -40,7 +44,7 @@ def policy(workload: str, within: Reach, metrics_from: Sequence[Object]) -> Obje
     ingress: list[Object] = [
         {"from": [*peers, *ours], "ports": graph},
         {"from": ours, "ports": [ports("UDP", names.PROBE_PORT, names.PROBE_PORT)]},
-        {"from": [{"podSelector": {}}], "ports": [{"protocol": "TCP", "port": names.PROBE_PORT}]},
+        {"from": [_INSTANCES], "ports": [{"protocol": "TCP", "port": names.PROBE_PORT}]},
     ]
     if metrics_from:
         ingress.append({"from": list(metrics_from), "ports": [{"protocol": "TCP", "port": names.METRICS_PORT}]})

@@ -15,9 +15,11 @@ KIND = "NetworkPolicy"
 def held_pods(pool: str, claimable: str) -> Object:
     """Return the policy of a pool's unclaimed pods: only monitors reach their agents, and the pods can send nothing else.
 
-    Its annotation holds the hash of the template whose pods may be claimed.
+    Monitors are selected by both of their labels: that of the component does not say that a pod serves a workload.
+    The annotation of the policy holds the hash of the template whose pods may be claimed.
     """
-    monitors = [{"podSelector": {"matchLabels": {names.COMPONENT: "monitor"}}}]
+    serves = {"key": names.MONITORED, "operator": "Exists"}
+    monitors = [{"podSelector": {"matchLabels": {names.COMPONENT: "monitor"}, "matchExpressions": [serves]}}]
     policy = network_policy(
         names.held(pool),
         {"matchLabels": {names.POOL: pool, names.HELD: "true"}},
