@@ -1,11 +1,12 @@
 """Runs inside a pod of the policy tests: answers on its ports, and sends to others on command.
 
 Started with `kubectl exec -i POD -- python3 -c SOURCE PORT...`; requests and answers are one JSON object per line, so it needs nothing
-from the network it tests. Standard library only.
+from the network it tests. Standard library only. ADDRESS in its environment is the one that it answers at, if its host has several.
 """
 
 import contextlib
 import json
+import os
 import socket
 import sys
 import threading
@@ -15,6 +16,7 @@ from typing import Any
 
 PATIENCE = 0.45
 TRIES = 3
+ADDRESS = os.environ.get("ADDRESS", "")
 
 _print = threading.Lock()
 _state = threading.Lock()
@@ -25,7 +27,7 @@ _streams: dict[str, tuple[threading.Event, threading.Thread]] = {}
 
 def answer_udp(port: int) -> None:
     listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    listener.bind(("", port))
+    listener.bind((ADDRESS, port))
     while True:
         data, sender = listener.recvfrom(2048)
         if data.startswith(b"stream "):
@@ -37,7 +39,7 @@ def answer_udp(port: int) -> None:
 
 
 def answer_tcp(port: int) -> None:
-    listener = socket.create_server(("", port), backlog=64)
+    listener = socket.create_server((ADDRESS, port), backlog=64)
     while True:
         connection, _ = listener.accept()
         threading.Thread(target=echo, args=(connection,), daemon=True).start()

@@ -7,6 +7,7 @@ import json
 import re
 import subprocess
 import threading
+from collections.abc import Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from functools import partial
@@ -32,24 +33,29 @@ def table() -> Object:
 
 
 def flows(lines: list[str]) -> list[Flow]:
-    """The lines of a table that can be tried between pods on any cluster: those by UDP and TCP, from pod to pod."""
+    """The lines of a table that any cluster can try: those by UDP and TCP."""
     found = []
     for line in lines:
         matched = re.fullmatch(r"(\S+) -> (\S+) (?:icmp|(tcp|udp|sctp)/(\d+))", line)
         assert matched, f"{TABLE.name}: {line!r} is not of the form 'FROM -> TO PROTOCOL/PORT'"
         source, target, protocol, port = matched.groups()
-        if protocol in ("tcp", "udp") and "outside" not in (source, target):
+        if protocol in ("tcp", "udp"):
             found.append((source, target, protocol, int(port)))
     return found
 
 
-class Agent:
-    """policy_agent.py in a pod, over the standard streams of `kubectl exec`."""
+def between_pods(lines: list[str]) -> list[Flow]:
+    """The lines of a table that any cluster can try and that begin and end at a pod."""
+    return [flow for flow in flows(lines) if "outside" not in flow[:2]]
 
-    def __init__(self, cluster: Cluster, namespace: str, pod: str) -> None:
-        self.pod = pod
-        command = ["kubectl", "--kubeconfig", str(cluster.kubeconfig), "-n", namespace, "exec", "-i", pod, "--"]
-        command += ["python3", "-u", "-c", AGENT.read_text(), *map(str, PORTS)]
+
+class Agent:
+    """policy_agent.py, over the standard streams of what starts it there: `kubectl exec` for a pod."""
+
+    def __init__(self, name: str, start: Sequence[str], ports: Sequence[int] = PORTS) -> None:
+        """``start`` is the beginning of the command."""
+        self.name = name
+        command = [*start, "python3", "-u", "-c", AGENT.read_text(), *map(str, ports)]
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         self._waiting: dict[int, Future[Any]] = {0: Future()}
         self._numbers = itertools.count(1)
@@ -90,11 +96,11 @@ class Agent:
             with self._lock:
                 waiting = self._waiting.pop(answer["id"])
             if "error" in answer:
-                waiting.set_exception(RuntimeError(f"agent in {self.pod}: {answer['error']}"))
+                waiting.set_exception(RuntimeError(f"agent in {self.name}: {answer['error']}"))
             else:
                 waiting.set_result(answer["result"])
         for waiting in self._waiting.values():
-            waiting.set_exception(RuntimeError(f"the agent in {self.pod} has ended"))
+            waiting.set_exception(RuntimeError(f"the agent in {self.name} has ended"))
 
 
 @dataclass
@@ -107,6 +113,8 @@ class World:
     agents: dict[str, Agent] = field(default_factory=dict)
     pods: dict[str, Object] = field(default_factory=dict)
     nodes: list[str] = field(default_factory=list)
+    outside: dict[str, str] = field(default_factory=dict)
+    """Addresses of hosts that are no pods, by name. They are targets only."""
 
     def start(
         self,
@@ -148,7 +156,8 @@ class World:
             assert found
             self.pods[name] = found
             if name not in self.agents and "pause" in pod["spec"]["containers"][0]["command"][-1]:
-                self.agents[name] = Agent(self.cluster, pod["metadata"]["namespace"], name)
+                command = ["kubectl", "--kubeconfig", str(self.cluster.kubeconfig), "exec", "-i", name]
+                self.agents[name] = Agent(name, [*command, "-n", pod["metadata"]["namespace"], "--"])
 
     def _running(self, name: str) -> Object | None:
         pod = self.cluster.get("v1", "Pod", name, self.pods[name]["metadata"]["namespace"])
@@ -156,8 +165,8 @@ class World:
         return pod if statuses and all(s["state"].get("running") for s in statuses) else None
 
     def address(self, name: str) -> str:
-        """A pod's address."""
-        address: str = self.pods[name]["status"]["podIP"]
+        """The address of a pod or a host."""
+        address: str = self.outside.get(name) or self.pods[name]["status"]["podIP"]
         return address
 
     def policies(self, case: Object) -> list[Object]:

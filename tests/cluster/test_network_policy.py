@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from tests.cluster.policy_pods import World, flows, policy, selector, table
+from tests.cluster.policy_pods import World, between_pods, policy, selector, table
 from tests.support.cluster import Object
 
 pytestmark = pytest.mark.xdist_group("network policies")  # one process starts the pods of the table
@@ -26,7 +26,7 @@ SWITCHES = 50
 @pytest.mark.parametrize("case", TABLE["cases"], ids=[case["name"] for case in TABLE["cases"]])
 def test_table(world: World, case: Object) -> None:
     world.enforce(world.policies(case))
-    world.expect(flows(case.get("allowed", [])), flows(case.get("denied", [])))
+    world.expect(between_pods(case.get("allowed", [])), between_pods(case.get("denied", [])))
 
 
 def test_a_service_is_judged_by_its_pods(world: World) -> None:

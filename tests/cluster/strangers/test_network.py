@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import contextlib
+import os
+import subprocess
+from collections.abc import Iterator, Mapping
 
 import pytest
 
-from tests.cluster.policy_pods import Flow, World, flows
+from testcluster.local import layout as layouts
+from testcluster.local import network, node
+from tests.cluster.policy_pods import Agent, Flow, World, flows
 from tests.support.cluster import Object
 from understudy.api import names
 from understudy.controller.desired import control_plane_policies
+from understudy.kube.gates import unclaimed_pod_policy
 from understudy.kube.gates.base import Reach
 from understudy.kube.gates.kinds.network_policy import GATE
 
@@ -19,8 +25,18 @@ LABELS = {
     "active": {names.WORKLOAD: "w", names.INSTANCE: "active"},
     "standby": {names.WORKLOAD: "w", names.INSTANCE: "standby"},
     "camera": {names.MONITORED: "w", names.COMPONENT: "monitor"},
+    "distant": {names.WORKLOAD: "v", names.INSTANCE: "distant"},
 }
-"""The pods of the table that play a part. ``camera`` is the monitor, ``robot`` is in the workload's namespace, ``dashboard`` in another."""
+"""The pods of the table that play a part. ``camera`` is the monitor, ``robot`` is in the workload's namespace, ``dashboard`` in another.
+``distant`` is an instance of another workload of the namespace."""
+
+HOSTS = {"metadata": "169.254.169.254", "internet": "203.0.113.7"}
+"""Addresses that are neither those of pods nor of nodes: that of the metadata service of clouds, and one of an example (RFC 5737)."""
+
+HOST_PORTS = (53, 80, 1000, 7950)
+OPEN = ("tcp/80", "udp/1000")
+DATA = (*OPEN, "udp/7950")
+"""Those that are not for DNS: the last one is gated."""
 
 TOOLS = {"namespaceSelector": {"matchLabels": {"team": "operators"}}}
 
@@ -34,6 +50,28 @@ def workload(world: World) -> Iterator[World]:
     _label(world, LABELS)
     yield world
     _label(world, {pod: dict.fromkeys(labels) for pod, labels in LABELS.items()})
+
+
+@pytest.fixture(scope="module")
+def hosts(workload: World) -> Iterator[World]:
+    """The same pods, with the hosts of HOSTS behind the nodes' router, and ``node``, another node than that of the instances."""
+    layout = layouts.load(os.environ.get("UNDERSTUDY_CLUSTER_NAME") or layouts.DEFAULT_NAME)
+    assert layout is not None
+    router = network.holder(layout)
+    elsewhere = next(n for n in layout.nodes if layouts.node_name(n) != workload.pods["active"]["spec"]["nodeName"])
+    places = {name: (address, router) for name, address in HOSTS.items()}
+    places["node"] = layout.node_ip(elsewhere), node.init(layout, elsewhere)
+    with contextlib.ExitStack() as stack:
+        for name, (address, pid) in places.items():
+            assert pid is not None
+            inside = network.inside(pid)
+            if name in HOSTS:
+                subprocess.run([*inside, "ip", "addr", "replace", f"{address}/32", "dev", "lo"], check=True)
+                stack.callback(subprocess.run, [*inside, "ip", "addr", "del", f"{address}/32", "dev", "lo"], check=True)
+            stack.callback(Agent(name, [*inside, "env", f"ADDRESS={address}"], HOST_PORTS).close)
+            workload.outside[name] = address
+        yield workload
+    workload.outside.clear()
 
 
 @pytest.fixture
@@ -52,6 +90,17 @@ def _label(world: World, wanted: dict[str, dict[str, str]] | dict[str, dict[str,
     for pod, labels in wanted.items():
         live = {"apiVersion": "v1", "kind": "Pod", "metadata": world.pods[pod]["metadata"]}
         world.cluster.patch(live, {"metadata": {"labels": labels}})
+
+
+@contextlib.contextmanager
+def _relabelled(world: World, pod: str, labels: Mapping[str, str]) -> Iterator[None]:
+    """Give a pod other labels of Understudy for the duration of the context."""
+    before = LABELS.get(pod, {})
+    _label(world, {pod: {**dict.fromkeys(before), **labels}})
+    try:
+        yield
+    finally:
+        _label(world, {pod: {**dict.fromkeys(labels), **before}})
 
 
 def _enforce(world: World, reach: Reach, *, metrics_from: list[Object] | None = None) -> None:
@@ -121,14 +170,16 @@ def test_the_monitor_reaches_agents_and_observes_who_passes_the_gate(workload: W
                 "camera -> standby tcp/8950",
                 "active -> camera udp/8149",
                 "standby -> camera tcp/8149",
-                "robot -> camera tcp/8149",
+                "distant -> camera tcp/8149",
                 "active -> dashboard udp/53",
             ]
         ),
         flows(
             [
                 "standby -> camera udp/8149",
+                "distant -> camera udp/8149",
                 "robot -> camera udp/8149",
+                "robot -> camera tcp/8149",
                 "robot -> active tcp/8950",
                 "dashboard -> active tcp/8950",
                 "robot -> camera tcp/9108",
@@ -137,6 +188,42 @@ def test_the_monitor_reaches_agents_and_observes_who_passes_the_gate(workload: W
             ]
         ),
     )
+
+
+def test_only_a_monitor_that_serves_a_workload_reaches_an_unclaimed_pod(workload: World) -> None:
+    monitors = {names.COMPONENT: "monitor"}
+    with (
+        _relabelled(workload, "standby", {names.POOL: "spare", names.HELD: "true"}),
+        _relabelled(workload, "robot", monitors),
+    ):
+        policy = unclaimed_pod_policy.held_pods("spare", "1")
+        policy["metadata"]["namespace"] = workload.spaces["fleet"]
+        workload.enforce([policy])
+        sends = [f"standby -> {target} {port}" for target in ("robot", "camera") for port in ("udp/1000", "tcp/80")]
+        workload.expect(
+            flows(["camera -> standby tcp/8950"]),
+            flows([*sends, "robot -> standby tcp/8950", "distant -> standby tcp/8950", "camera -> standby tcp/80"]),
+        )
+
+
+@pytest.mark.local_only
+def test_instances_reach_no_host_outside_of_the_pods_except_for_dns(hosts: World) -> None:
+    """Neither the metadata service of a cloud, nor the Internet, nor a node."""
+    sources = ("active", "standby")
+    data = flows([f"{one} -> {to} {port}" for one in sources for to in hosts.outside for port in DATA])
+    dns = flows([f"{one} -> {to} {port}" for one in sources for to in hosts.outside for port in ("udp/53", "tcp/53")])
+    hosts.enforce([])
+    hosts.expect([*data, *dns], [])
+    _enforce(hosts, Reach())
+    hosts.expect(dns, data)
+
+
+@pytest.mark.local_only
+def test_a_host_that_the_workload_names_as_its_robot_is_reached_and_no_other(hosts: World) -> None:
+    _enforce(hosts, Reach(robots=(f"{HOSTS['internet']}/32",)))
+    reached = ["active -> internet udp/7950", *(f"{o} -> internet {p}" for o in ("active", "standby") for p in OPEN)]
+    others = [f"{one} -> {to} {port}" for one in ("active", "standby") for to in ("metadata", "node") for port in DATA]
+    hosts.expect(flows(reached), flows(["standby -> internet udp/7950", *others]))
 
 
 def test_peers_in_another_namespace_are_commanded_by_the_active_instance_only(workload: World) -> None:
