@@ -10,9 +10,10 @@ import pytest
 from tests.cluster.conftest import Release
 from tests.support.cluster import Cluster, Object, Refused, account, until
 from tests.support.golden import assert_golden
-from tests.support.rights import OF_ALL, WHO_WAITS, as_lines, named, of_all, rights_of
+from tests.support.rights import OF_ALL, OF_EVERYBODY, WHO_WAITS, as_lines, named, of_all, rights_of
 from understudy.api import names
-from understudy.controller.desired import monitor_deployment
+from understudy.controller.desired import discovery_server, monitor_deployment
+from understudy.controller.plan import Images
 
 
 @pytest.fixture
@@ -156,6 +157,27 @@ def test_the_rights_of_a_monitor_are_these(cluster: Cluster, namespace: str, kin
     until(lambda: any(one.resource == "pods" for one in rights_of(cluster, namespace, user)), "its role to take effect")
     for place in (namespace, "default"):
         assert_golden("rights", as_lines(rights_of(cluster, place, user)))
+
+
+@pytest.mark.parametrize("pools", [["spare"], []], ids=["with a pool", "without pools"])
+@pytest.mark.parametrize("policy", ["hot", None], ids=["with a policy", "without a policy"])
+def test_the_rights_of_a_monitor_follow_from_its_policy_and_its_pools(
+    cluster: Cluster, namespace: str, policy: str | None, pools: list[str]
+) -> None:
+    for item in _access("ReplicaSet", namespace, policy=policy, pools=pools):
+        cluster.create(item, namespace)
+    user = account(namespace, names.monitor_account("robot-17"))
+    until(lambda: any(one.resource == "pods" for one in rights_of(cluster, namespace, user)), "its role to take effect")
+    assert_golden("rights", as_lines(rights_of(cluster, namespace, user)))
+
+
+def test_the_account_of_a_discovery_server_has_no_rights(cluster: Cluster, namespace: str) -> None:
+    server = discovery_server.deployment("robot-17", Images("monitor"), "10.0.0.1")["spec"]["template"]["spec"]
+    assert server["automountServiceAccountToken"] is False
+    user = account(namespace, server.get("serviceAccountName", "default"))
+    rights = rights_of(cluster, namespace, user)
+    assert not named(rights)
+    assert of_all(rights) == OF_EVERYBODY
 
 
 @pytest.mark.parametrize("pools", [["spare"], []])

@@ -17,16 +17,20 @@ class Right(NamedTuple):
     verbs: frozenset[str]
 
 
-OF_ALL = {
-    # The admission policy restricts the changes to the monitor's own pods: see test_admission.py.
-    "pods": {"get", "list", "watch", "patch", "delete"},
-    "pods.metrics.k8s.io": {"list"},
-    "events": {"create", "patch", "list"},  # list: for the recordings of the black box
+OF_EVERYBODY = {
     "selfsubjectreviews.authentication.k8s.io": {"create"},
     "selfsubjectaccessreviews.authorization.k8s.io": {"create"},
     "selfsubjectrulesreviews.authorization.k8s.io": {"create"},
 }
-"""The rights of a monitor to all objects of its namespace, by kind. Every account has the last three."""
+"""The rights of every account, to questions about itself."""
+
+OF_ALL = OF_EVERYBODY | {
+    # The admission policy restricts the changes to the monitor's own pods: see test_admission.py.
+    "pods": {"get", "list", "watch", "patch", "delete"},
+    "pods.metrics.k8s.io": {"list"},
+    "events": {"create", "patch", "list"},  # list: for the recordings of the black box
+}
+"""The rights of a monitor to all objects of its namespace, by kind."""
 
 WHO_WAITS = {"networkpolicies.networking.k8s.io": {"list", "watch"}}
 """Additional rights of a monitor that may have to queue for a pod of a shared pool."""
