@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 import yaml
 
 import understudy
+from tests.cluster import strangers
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -35,6 +37,13 @@ def test_the_ci_runs_all_suites() -> None:
     assert "scripts/test all" in text
     for path in (".ci/run", "scripts/test", "scripts/generate", "scripts/constraints"):
         assert (REPOSITORY / path).stat().st_mode & 0o111, f"{path} must be executable"
+
+
+def test_the_table_of_the_strangers_names_tests_that_exist_and_all_of_theirs() -> None:
+    named = set(re.findall(r"\b(?:tests|strangers|bench|charts)/[a-z_/]+(?:\.py|\.yaml)?", strangers.__doc__ or ""))
+    folder = Path(strangers.__file__).parent
+    assert {path for path in named if not (REPOSITORY / path).exists() and not (folder.parent / path).exists()} == set()
+    assert {f"strangers/{path.name}" for path in folder.glob("test_*.py")} <= named
 
 
 def test_the_journals_of_both_examples_are_equal() -> None:
