@@ -65,6 +65,7 @@ VERBS = (
     Verb("monitor", "understudy.monitor.process", "watch one workload and recover it", in_pods=True, has_options=False),
     Verb("agent", "understudy.agent.process", "the sidecar of an instance", in_pods=True, has_options=False),
     Verb("tasks", "understudy.action_proxy.process", "the action proxy of a workload", in_pods=True, has_options=False),
+    Verb("mux", "understudy.mux.process", "forward one instance at the robot", in_pods=True, has_options=False),
     Verb(
         "prepare",
         "understudy.agent.prepare",

@@ -89,6 +89,10 @@ class Middleware(ABC):
         Values that differ between pods are variables (agent/prepare.py).
         """
 
+    @abstractmethod
+    def mux_settings(self, topics: Iterable[str]) -> str:
+        """Return the settings file of a mux: it reads these topics from instances, and writes them to the robot."""
+
     # -- Who sends and who reads --------------------------------------------------------------------------------------
 
     @abstractmethod

@@ -66,7 +66,7 @@ class Stand:
         (folder / "talk.py").write_text(TALK)
         (folder / "hear.py").write_text(HEAR)
         (folder / "instance.xml").write_text(muxed_profiles_xml(OUTPUTS))
-        (folder / "mux.xml").write_text(mux_profiles_xml(OUTPUTS))
+        (folder / "mux.xml").write_text(mux_profiles_xml([CHAT]))
         self._processes, self._folder = processes, folder
         self.robot = processes.node(script=str(folder / "hear.py"))
         self.mux = processes.node(

@@ -52,10 +52,10 @@ def test_discovered_qos_is_written_as_rosbag2_does(monkeypatch: pytest.MonkeyPat
     graph = Graph("looks")
     publisher = graph.node.create_publisher(String, "/said", LATCHED)
     end = time.monotonic() + 20
-    while not graph.offered("/said"):
+    while not graph.offers("/said"):
         assert time.monotonic() < end
         time.sleep(0.01)
-    (profile,) = yaml.safe_load(offers(graph.offered("/said")))
+    (profile,) = yaml.safe_load(offers(qos for _, qos in graph.offers("/said")))
     graph.node.destroy_publisher(publisher)
     graph.close()
     for_ever = {"sec": Infinite.nanoseconds // 10**9, "nsec": Infinite.nanoseconds % 10**9}

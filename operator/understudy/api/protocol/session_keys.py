@@ -41,11 +41,9 @@ class SessionKeys:
 
 def derive(token: bytes, *, uid: str, agent_nonce: str, monitor_nonce: str, workload: str, claim: str) -> SessionKeys:
     """Return the keys of a session with the agent of the pod with this UID."""
-    secret = hmac.digest(_SALT, token, "sha256")
-    context = b"".join(_field(text) for text in (uid, agent_nonce, monitor_nonce, workload, claim))
 
     def key(use: str) -> bytes:
-        return hmac.digest(secret, _field(use) + context + b"\x01", "sha256")
+        return expanded(_SALT, token, use, uid, agent_nonce, monitor_nonce, workload, claim)
 
     return SessionKeys(
         monitor_proof=key("proof of the monitor").hex(),
@@ -54,6 +52,12 @@ def derive(token: bytes, *, uid: str, agent_nonce: str, monitor_nonce: str, work
         to_monitor=key("lines to the monitor"),
         probes=key("gate probes"),
     )
+
+
+def expanded(salt: bytes, token: bytes, use: str, *context: str) -> bytes:
+    """Return the key for one use in one context: HKDF with SHA-256, one block."""
+    secret = hmac.digest(salt, token, "sha256")
+    return hmac.digest(secret, b"".join(map(_field, (use, *context))) + b"\x01", "sha256")
 
 
 def _field(text: str) -> bytes:

@@ -8,14 +8,14 @@ first of a later one.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from understudy.ros.runtime.arrival_wakeups import ArrivalWakeups
-from understudy.ros.runtime.graph_node import Graph
+from understudy.ros.runtime.graph_node import Endpoint, Graph
 from understudy.ros.runtime.interface_types import message_class
 from understudy.ros.runtime.sample_taking import Sample, SampleTaker
 
@@ -38,15 +38,21 @@ class ForwardedTopic:
         self._subscription: Any = None
         self._offer: QoSProfile | None = None
         self._publisher: Any = None
-        self.follow([], [])
+        self.follow([])
 
-    def follow(self, writers: Sequence[QoSProfile], readers: Sequence[QoSProfile]) -> None:
-        """Match the QoS that the instances' writers offer and that the robot's readers request.
+    def writers(self) -> list[Endpoint]:
+        """Return the writers of the topic besides this one."""
+        return [end for end in self._graph.publishers(self.topic) if end.node != self._graph.name]
 
-        A subscription or publisher whose QoS changes is created again. The readers of the robot and the writers of the instances must be
-        discovered again then, so follow them before they are needed.
+    def follow(self, instances: Collection[bytes]) -> None:
+        """Match the QoS that the instances' writers, given by their GIDs, offer, and that the robot's readers request.
+
+        A subscription or publisher whose QoS changes is created again, and then must be discovered again. So follow them before they are
+        needed.
         """
-        reliable = all(offer.reliability == ReliabilityPolicy.RELIABLE for offer in writers)
+        offers = [qos for end, qos in self._graph.offers(self.topic) if end.gid in instances]
+        readers = [qos for end, qos in self._graph.requests(self.topic) if end.node != self._graph.name]
+        reliable = all(offer.reliability == ReliabilityPolicy.RELIABLE for offer in offers)
         if reliable != self._reliable:
             if self._subscription is not None:
                 self._wakeups.forget(self._subscription.handle)

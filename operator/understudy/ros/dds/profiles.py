@@ -164,13 +164,12 @@ def muxed_profiles_xml(outputs: Iterable[Output]) -> str:
     )
 
 
-def mux_profiles_xml(outputs: Iterable[Output]) -> str:
+def mux_profiles_xml(topics: Iterable[str]) -> str:
     """Return the profile file of a mux: its readers are in the partitions of all pods, and its writers in the robot's default one."""
+    everybody = f"{PARTITIONS}*"
     return _FILE.format(
         profiles="".join(
-            _PARTITIONED.format(kind="data_reader", name=quoteattr(output.topic), partition=f"{PARTITIONS}*")
-            for output in outputs
-            if output.topic
+            _PARTITIONED.format(kind="data_reader", name=quoteattr(topic), partition=everybody) for topic in topics
         )
     )
 

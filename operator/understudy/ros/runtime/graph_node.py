@@ -66,6 +66,7 @@ class Graph:
             os.environ.setdefault(variable, value)
         self._context = own_context(domain_id=domain_id)
         self.node = plain_node(name, self._context)
+        self.name = self.node.get_fully_qualified_name()
 
     def subscribe(
         self, topic: str, type_name: str, *, depth: int, latched: bool = False, reliable: bool = False
@@ -108,9 +109,15 @@ class Graph:
         """Return the publishers of a topic."""
         return _endpoints(self.node.get_publishers_info_by_topic(topic))
 
-    def offered(self, topic: str) -> list[QoSProfile]:
-        """Return the QoS that each publisher of a topic offers."""
-        return [info.qos_profile for info in self.node.get_publishers_info_by_topic(topic)]
+    def offers(self, topic: str) -> list[tuple[Endpoint, QoSProfile]]:
+        """Return the publishers of a topic, each with the QoS that it offers."""
+        infos = self.node.get_publishers_info_by_topic(topic)
+        return list(zip(_endpoints(infos), (info.qos_profile for info in infos), strict=True))
+
+    def requests(self, topic: str) -> list[tuple[Endpoint, QoSProfile]]:
+        """Return the subscribers of a topic, this process's own too, each with the QoS that it requests."""
+        infos = self.node.get_subscriptions_info_by_topic(topic)
+        return list(zip(_endpoints(infos), (info.qos_profile for info in infos), strict=True))
 
     def publisher_count(self, topic: str) -> int:
         """Return the number of a topic's publishers, for a hundredth of the cost of listing them."""

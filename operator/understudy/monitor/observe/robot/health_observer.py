@@ -177,7 +177,7 @@ class HealthObserver:
 
     def offered(self, topic: str) -> str:
         """Return the QoS that the publishers of a topic offer now, in the format of recordings."""
-        return offers(self.graph.offered(topic))
+        return offers(qos for _, qos in self.graph.offers(topic))
 
     @property
     def output_topics(self) -> list[str]:

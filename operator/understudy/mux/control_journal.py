@@ -1,0 +1,58 @@
+"""The file with the control of one workload, so that a mux that restarts forwards the same instance and refuses the same orders."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+from dataclasses import asdict
+from pathlib import Path
+
+from understudy.mux.control import Control, StandingOrder, Token
+
+_logger = logging.getLogger(__name__)
+
+
+class ControlJournal:
+    """One file, replaced atomically and synced: also a lost node must not bring back who was fenced."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def save(self, control: Control) -> None:
+        """Store the control. Raises OSError, and then nothing is stored."""
+        temporary = self._path.with_suffix(".new")
+        with open(temporary, "w") as file:
+            json.dump(asdict(control), file)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, self._path)
+        folder = os.open(self._path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+    def load(self) -> Control:
+        """Return what was stored; nobody is forwarded if nothing was.
+
+        A damaged file is moved aside, and nobody is forwarded until the next order.
+        """
+        try:
+            found = json.loads(self._path.read_text())
+            standing = StandingOrder(tuple(found["standing"]["successors"]), found["standing"]["silences"])
+            return Control(
+                Token(**found["token"]),
+                found["source"],
+                found["ordered"],
+                standing,
+                found["revision"],
+                tuple(found["replaced"]),
+            )
+        except FileNotFoundError:
+            return Control()
+        except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+            _logger.error("%s cannot be read, so nobody is forwarded until the next order: %r", self._path, error)
+            if self._path.exists():
+                self._path.replace(self._path.with_suffix(".damaged"))
+            return Control()

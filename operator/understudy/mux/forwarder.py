@@ -1,0 +1,169 @@
+"""Forwards one workload: takes what arrived, forwards what the control says, and carries out orders and standing orders.
+
+Everything happens in one thread and in this order: samples that arrived before a decision are judged by the control before it. So a sample
+that an instance sent before it was put in control is never forwarded, and silence is judged only after everything was heard.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping
+from typing import Protocol
+
+from understudy.api.protocol.session_keys import NotAuthentic
+from understudy.mux.control import Control, Heard, Refused, due_at, ordered, switched
+from understudy.mux.messages import MuxKeys, Report, read_order, report_text
+from understudy.ros.runtime.sample_taking import Sample
+
+_logger = logging.getLogger(__name__)
+
+REMEMBERED = 60.0
+"""Seconds for which an instance that is silent stays in the reports."""
+
+
+class Route(Protocol):
+    """One topic. :class:`understudy.ros.actions.forwarded_topic.ForwardedTopic` implements it."""
+
+    topic: str
+
+    def drain(self, forwards: Callable[[Sample], bool]) -> int:
+        """Take all samples that have arrived, and forward those that a function accepts. Returns their number."""
+
+
+class Journal(Protocol):
+    """Keeps the control. :class:`understudy.mux.control_journal.ControlJournal` implements it."""
+
+    def load(self) -> Control:
+        """Return the control that was kept."""
+
+    def save(self, control: Control) -> None:
+        """Keep a control. Raises OSError."""
+
+
+class Forwarder:
+    """The mux of one workload. Times are of a monotonic clock."""
+
+    def __init__(
+        self,
+        routes: Iterable[Route],
+        keys: MuxKeys,
+        journal: Journal,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._routes, self._keys, self._journal, self._clock = tuple(routes), keys, journal, clock
+        self.control = journal.load()
+        self.instances: dict[bytes, str] = {}
+        """The instance of each writer that discovery has reported; empty for a writer of no instance."""
+        self.unknown: set[bytes] = set()
+        """Writers whose samples arrived before discovery has reported them. They are not forwarded."""
+        self.strangers: tuple[str, ...] = ()
+        """As in the reports."""
+        self._last: dict[str, dict[str, float]] = defaultdict(dict)
+        self._since = clock()
+        self._first = math.nan
+        self._forwarded = 0
+        self._nonce = self._refused = ""
+        self.changed = True
+        """Whether a report is due because something changed."""
+
+    def drain(self) -> None:
+        """Take what arrived, and carry out a standing order that is due. Call it when something arrives, and at :attr:`due_at`."""
+        now = self._clock()
+        for route in self._routes:
+            self._forwarded += route.drain(self._judging(route.topic, now))
+        if self._forwarded and math.isnan(self._first):
+            self._first, self.changed = now, True
+        if (found := switched(self.control, self._heard, now)) is not None:
+            former = self.control.source
+            try:
+                self._decide(found, now)
+            except OSError as error:
+                _logger.error(
+                    "%s is silent, and %s is not forwarded, because that cannot be kept: %s",
+                    former,
+                    found.source,
+                    error,
+                )
+                return
+            _logger.warning("%s is silent: %s is forwarded from now on, without an order", former, found.source)
+
+    @property
+    def due_at(self) -> float:
+        """When :meth:`drain` must be called at the latest."""
+        return due_at(self.control, self._heard)
+
+    def order(self, text: str) -> None:
+        """Carry out an order, unless it is refused. A text that is no authentic order is ignored."""
+        try:
+            found, nonce = read_order(text, self._keys)
+        except NotAuthentic as error:
+            _logger.warning("an order is ignored: %s", error)
+            return
+        self.drain()
+        self._nonce, self._refused, self.changed = nonce, "", True
+        try:
+            control = ordered(self.control, found)
+        except Refused as error:
+            self._refused = str(error)
+            _logger.info("an order is refused: %s", error)
+            return
+        if control is not self.control:
+            try:
+                self._decide(control, self._clock())
+            except OSError as error:
+                self._refused = f"the mux cannot keep it: {error}"
+                _logger.error("an order is refused: %s", self._refused)
+
+    def report(self) -> str:
+        """Return the text of the present report."""
+        now, self.changed = self._clock(), False
+        heard = {
+            name: {topic: now - at for topic, at in last.items() if now - at < REMEMBERED}
+            for name, last in self._last.items()
+        }
+        since = math.inf if math.isnan(self._first) else now - self._first
+        control = self.control
+        return report_text(
+            Report(
+                control.token,
+                control.source,
+                self._nonce,
+                self._refused,
+                self._forwarded,
+                since,
+                {name: outputs for name, outputs in heard.items() if outputs},
+                self.strangers,
+            ),
+            self._keys,
+        )
+
+    @property
+    def _heard(self) -> Heard:
+        return Heard(self._since, self._last)
+
+    def _decide(self, control: Control, now: float) -> None:
+        """Keep a control before it has any effect. Raises OSError."""
+        self._journal.save(control)
+        if control.source != self.control.source:
+            self._since, self._first, self._forwarded = now, math.nan, 0
+        self.control, self.changed = control, True
+
+    def _judging(self, topic: str, now: float) -> Callable[[Sample], bool]:
+        """Return what notes a sample of a topic, and says whether it is forwarded."""
+        instances: Mapping[bytes, str] = self.instances
+        source, last = self.control.source, self._last
+
+        def forwards(sample: Sample) -> bool:
+            name = instances.get(sample.gid)
+            if not name:
+                if name is None:
+                    self.unknown.add(sample.gid)
+                return False
+            last[name][topic] = now
+            return name == source
+
+        return forwards

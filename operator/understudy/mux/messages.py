@@ -1,0 +1,137 @@
+"""The texts that a monitor and a mux exchange on two topics of the robot's graph, and how each proves who wrote it. Pure.
+
+Topics need no address and no port: wherever the commands of an instance can reach the mux, orders can too. DDS does not authenticate them,
+so each text begins with a MAC by a key that HKDF (RFC 5869) derives from the token of the workload. Each direction has its own key.
+
+An order that is recorded and sent again is harmless, because it is not newer than the control (:mod:`control`). A report is as fresh as the
+order whose ``nonce`` it repeats: a monitor uses a new one in each order.
+"""
+
+from __future__ import annotations
+
+import hmac
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from understudy.api.protocol.session_keys import NotAuthentic, expanded
+from understudy.mux.control import Order, StandingOrder, Token
+
+_SALT = b"understudy mux, version 1"
+
+MOST = 1 << 16
+"""Most characters of a text."""
+
+
+@dataclass(frozen=True)
+class MuxKeys:
+    """The keys of one workload."""
+
+    orders: bytes = field(repr=False)
+    reports: bytes = field(repr=False)
+
+
+def derive(token: bytes, namespace: str, workload: str) -> MuxKeys:
+    """Return the keys of a workload whose monitors and mux know a token."""
+    return MuxKeys(*(expanded(_SALT, token, use, namespace, workload) for use in ("orders", "reports")))
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a mux reports: once a second, and at once when something changes."""
+
+    token: Token
+    source: str
+    """Whom it forwards; empty for nobody."""
+    nonce: str
+    """That of the last order that was authentic, whether it was carried out or not."""
+    refused: str = ""
+    """Why that order was not carried out; empty if it was."""
+    forwarded: int = 0
+    """Number of samples that were forwarded from this source since it was put in control."""
+    since: float = math.inf
+    """Seconds since the first of them; infinite if there was none."""
+    heard: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """Seconds since the last sample, by instance and output."""
+    strangers: tuple[str, ...] = ()
+    """Writers of outputs that reach the robot beside the mux, or that belong to no instance, each with its output."""
+
+
+def sealed(message: Mapping[str, Any], key: bytes) -> str:
+    """Return a message as a text with its MAC."""
+    body = json.dumps(message, separators=(",", ":"), sort_keys=True)
+    return f"{hmac.digest(key, body.encode(), 'sha256').hex()} {body}"
+
+
+def opened(text: str, key: bytes) -> dict[str, Any]:
+    """Return the message of a text. Raises NotAuthentic if it was not sealed with this key."""
+    mac, _, body = text[:MOST].partition(" ")
+    if not hmac.compare_digest(mac.encode(), hmac.digest(key, body.encode(), "sha256").hex().encode()):
+        raise NotAuthentic("the text was not written by somebody who knows the token of the workload")
+    found: dict[str, Any] = json.loads(body)
+    return found
+
+
+def order_text(order: Order, nonce: str, keys: MuxKeys) -> str:
+    """Return the text of an order."""
+    message = {
+        "token": _token(order.token),
+        "source": order.source,
+        "knows": _token(order.knows),
+        "successors": list(order.standing.successors),
+        "silences": dict(order.standing.silences),
+        "revision": order.revision,
+        "nonce": nonce,
+    }
+    return sealed(message, keys.orders)
+
+
+def read_order(text: str, keys: MuxKeys) -> tuple[Order, str]:
+    """Return the order of a text, and its nonce. Raises NotAuthentic."""
+    message = opened(text, keys.orders)
+    token = Token(*message["token"])
+    order = Order(
+        token.workload_created,
+        token.epoch,
+        message["source"],
+        Token(*message["knows"]),
+        StandingOrder(tuple(message["successors"]), message["silences"]),
+        message["revision"],
+    )
+    return order, message["nonce"]
+
+
+def report_text(report: Report, keys: MuxKeys) -> str:
+    """Return the text of a report."""
+    message = {
+        "token": _token(report.token),
+        "source": report.source,
+        "nonce": report.nonce,
+        "refused": report.refused,
+        "forwarded": report.forwarded,
+        "since": report.since if math.isfinite(report.since) else None,
+        "heard": {name: dict(outputs) for name, outputs in report.heard.items()},
+        "strangers": list(report.strangers),
+    }
+    return sealed(message, keys.reports)
+
+
+def read_report(text: str, keys: MuxKeys) -> Report:
+    """Return the report of a text. Raises NotAuthentic."""
+    message = opened(text, keys.reports)
+    return Report(
+        Token(*message["token"]),
+        message["source"],
+        message["nonce"],
+        message["refused"],
+        message["forwarded"],
+        math.inf if message["since"] is None else message["since"],
+        message["heard"],
+        tuple(message["strangers"]),
+    )
+
+
+def _token(token: Token) -> list[float]:
+    return [token.workload_created, token.epoch, token.count]

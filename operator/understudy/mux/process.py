@@ -1,0 +1,172 @@
+"""The process of a mux: joins the robot's graph, follows the writers of the instances, and runs the forwarder until SIGTERM."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import math
+import os
+import re
+import signal
+import socket
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from understudy.mux.control_journal import ControlJournal
+from understudy.mux.forwarder import Forwarder
+from understudy.mux.messages import derive
+from understudy.process import json_logs
+
+if TYPE_CHECKING:
+    from understudy.mux.exchange import Exchange
+    from understudy.ros.actions.forwarded_topic import ForwardedTopic
+
+_logger = logging.getLogger(__name__)
+
+STATE = Path("/var/lib/understudy")
+
+REPORT_PERIOD = 1.0
+"""Seconds between two reports if nothing changes."""
+
+FOLLOW_PERIOD = 0.2
+"""Seconds between two looks at the graph."""
+
+DISCOVERED_WITHIN = 1.0
+"""Seconds that discovery has to report the partition of a writer, before it is asked again."""
+
+
+def main(argv: list[str]) -> int:
+    """Run until SIGTERM or SIGINT.
+
+    UNDERSTUDY_NAMESPACE and UNDERSTUDY_WORKLOAD name the workload, UNDERSTUDY_OUTPUTS has the types of its topics by name as JSON,
+    UNDERSTUDY_TOKEN_FILE the file with its token, and UNDERSTUDY_ADDRESS this host's address. The environment gives the ROS graph.
+    """
+    json_logs.configure(os.environ.get("UNDERSTUDY_LOG_LEVEL", "INFO"))
+    try:
+        namespace, workload = os.environ["UNDERSTUDY_NAMESPACE"], os.environ["UNDERSTUDY_WORKLOAD"]
+        outputs: Mapping[str, str] = json.loads(os.environ["UNDERSTUDY_OUTPUTS"])
+        token = Path(os.environ["UNDERSTUDY_TOKEN_FILE"]).read_bytes()
+    except (KeyError, ValueError, OSError) as error:
+        print(
+            f"understudy mux: set UNDERSTUDY_NAMESPACE, UNDERSTUDY_WORKLOAD, UNDERSTUDY_OUTPUTS and UNDERSTUDY_TOKEN_FILE: {error!r}",
+            file=sys.stderr,
+        )
+        return 2
+    state = Path(os.environ.get("UNDERSTUDY_STATE", STATE))
+    state.mkdir(parents=True, exist_ok=True)
+    asyncio.run(_run(namespace, workload, outputs, token, state))
+    return 0
+
+
+async def _run(namespace: str, workload: str, outputs: Mapping[str, str], token: bytes, state: Path) -> None:
+    from understudy.ros.rmw import MIDDLEWARE
+
+    settings = state / "profiles.xml"
+    settings.write_text(MIDDLEWARE.mux_settings(outputs))
+    os.environ[MIDDLEWARE.settings_variable] = str(settings)
+    from understudy.mux.exchange import Exchange
+    from understudy.ros.actions.forwarded_topic import ForwardedTopic
+    from understudy.ros.runtime.arrival_wakeups import ArrivalWakeups
+    from understudy.ros.runtime.graph_node import Graph
+    from understudy.ros.runtime.sample_taking import SampleTaker
+
+    loop, stopping = asyncio.get_running_loop(), asyncio.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, stopping.set)
+    graph, taker, wakeups = Graph("understudy_mux_" + re.sub(r"\W", "_", workload)), SampleTaker(), ArrivalWakeups()
+    routes = [ForwardedTopic(graph, topic, type_name, taker, wakeups) for topic, type_name in outputs.items()]
+    forwarder = Forwarder(routes, derive(token, namespace, workload), ControlJournal(state / "control.json"))
+    exchange = Exchange(graph, namespace, workload, taker, wakeups)
+    work = _Work(forwarder, exchange)
+
+    def arrived() -> None:
+        wakeups.clear()
+        work.done()
+
+    loop.add_reader(wakeups.descriptor, arrived)
+    _logger.info("mux of %s/%s: %s", namespace, workload, ", ".join(outputs))
+    tasks = [asyncio.create_task(_follow(routes, forwarder)), asyncio.create_task(work.report())]
+    stopped = asyncio.create_task(stopping.wait())
+    await asyncio.wait([*tasks, stopped], return_when=asyncio.FIRST_COMPLETED)
+    for task in tasks:
+        if task.done():
+            task.result()
+        task.cancel()
+    loop.remove_reader(wakeups.descriptor)
+    _logger.info("ended")
+
+
+class _Work:
+    """What is done when something arrives, and when a silence is long enough."""
+
+    def __init__(self, forwarder: Forwarder, exchange: Exchange) -> None:
+        self._forwarder, self._exchange = forwarder, exchange
+        self._timer: asyncio.TimerHandle | None = None
+        self._wake = asyncio.Event()
+
+    def done(self) -> None:
+        """Do what is due now, and again when a silence may be long enough."""
+        forwarder = self._forwarder
+        forwarder.drain()
+        for text in self._exchange.received():
+            forwarder.order(text)
+        if forwarder.changed:
+            self._wake.set()
+        if self._timer is None and math.isfinite(due := forwarder.due_at):
+            # The loop's clock is the forwarder's. A sample that arrives meanwhile only makes the timer look too early once.
+            self._timer = asyncio.get_running_loop().call_at(due, self._due)
+
+    def _due(self) -> None:
+        self._timer = None
+        self.done()
+
+    async def report(self) -> None:
+        """Publish a report at once after a change, and once a second."""
+        while True:
+            self._exchange.publish(self._forwarder.report())
+            self._wake.clear()
+            try:
+                async with asyncio.timeout(REPORT_PERIOD):
+                    await self._wake.wait()
+            except TimeoutError:
+                self.done()
+
+
+async def _follow(routes: list[ForwardedTopic], forwarder: Forwarder) -> None:
+    """Learn whose writers there are, and match the QoS of both sides."""
+    from understudy.ros.rmw import MIDDLEWARE
+
+    address = os.environ.get("UNDERSTUDY_ADDRESS") or _own_address()
+    while True:
+        present: set[bytes] = set()
+        strangers: set[str] = set()
+        for route in routes:
+            writers = route.writers()
+            present |= {end.gid for end in writers}
+            # None: discovery has not reported it yet.
+            ours = {end.gid: forwarder.instances.get(end.gid) for end in writers}
+            strangers |= {f"{route.topic} by {end.node or 'an unnamed node'}" for end in writers if ours[end.gid] == ""}
+            route.follow([gid for gid, instance in ours.items() if instance])
+        forwarder.strangers = tuple(sorted(strangers))
+        unknown = present - forwarder.instances.keys()
+        if unknown:
+            try:
+                forwarder.instances |= await MIDDLEWARE.instances_of_writers(
+                    unknown, address, os.environ, within=DISCOVERED_WITHIN
+                )
+            except (OSError, ValueError) as error:
+                _logger.warning("discovery cannot be asked whose writers there are: %s", error)
+        for gone in forwarder.instances.keys() - present:
+            del forwarder.instances[gone]
+        forwarder.unknown.clear()
+        await asyncio.sleep(FOLLOW_PERIOD)
+
+
+def _own_address() -> str:
+    """Return the address from which this host sends to others."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probing:
+        probing.connect(("239.255.0.1", 7400))
+        return str(probing.getsockname()[0])

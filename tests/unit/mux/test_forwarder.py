@@ -1,0 +1,170 @@
+"""A mux forwards what the control says at the moment at which a sample arrives, keeps each decision first, and reports."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from understudy.mux.control import Control, Order, StandingOrder, Token
+from understudy.mux.control_journal import ControlJournal
+from understudy.mux.forwarder import Forwarder
+from understudy.mux.messages import Report, derive, order_text, read_report
+from understudy.ros.runtime.sample_taking import Sample
+
+KEYS = derive(b"token", "fleet", "w")
+ORDER = Order(1000.0, 5, "w-1", standing=StandingOrder(("w-2",), {"/cmd_vel": 0.5}))
+GIDS = {"w-1": b"1" * 16, "w-2": b"2" * 16, "robot": b"9" * 16}
+
+
+class GivenTopic:
+    """Samples that arrive, and those that were forwarded."""
+
+    topic = "/cmd_vel"
+
+    def __init__(self) -> None:
+        self.arrived: list[Sample] = []
+        self.forwarded: list[str] = []
+
+    def send(self, *writers: str) -> None:
+        self.arrived += [Sample(0.0, 0.0, GIDS[writer], 1, b"") for writer in writers]
+
+    def drain(self, forwards: Callable[[Sample], bool]) -> int:
+        accepted = [sample for sample in self.arrived if forwards(sample)]
+        self.arrived.clear()
+        names = {gid: name for name, gid in GIDS.items()}
+        self.forwarded += [names[sample.gid] for sample in accepted]
+        return len(accepted)
+
+
+class Stand:
+    """One workload's mux, at a time that a test says."""
+
+    def __init__(self, folder: Path) -> None:
+        self.topic, self.now, self._folder = GivenTopic(), 100.0, folder
+        self.start()
+
+    def start(self) -> None:
+        journal = ControlJournal(self._folder / "control.json")
+        self.mux = Forwarder([self.topic], KEYS, journal, clock=lambda: self.now)
+        self.mux.instances = {GIDS["w-1"]: "w-1", GIDS["w-2"]: "w-2", GIDS["robot"]: ""}
+
+    def order(self, order: Order, nonce: str = "n") -> Report:
+        self.mux.order(order_text(order, nonce, KEYS))
+        return self.report
+
+    @property
+    def report(self) -> Report:
+        return read_report(self.mux.report(), KEYS)
+
+    def after(self, seconds: float, *writers: str) -> None:
+        """Let time pass, and then samples arrive."""
+        self.now += seconds
+        self.topic.send(*writers)
+        self.mux.drain()
+
+
+@pytest.fixture
+def stand(tmp_path: Path) -> Stand:
+    return Stand(tmp_path)
+
+
+def test_only_the_instance_that_was_ordered_is_forwarded(stand: Stand) -> None:
+    stand.after(0.1, "w-1", "w-2", "robot")
+    assert stand.topic.forwarded == []
+    stand.order(ORDER)
+    stand.after(0.1, "w-2", "w-1", "robot")
+    assert stand.topic.forwarded == ["w-1"]
+
+
+def test_what_arrived_before_an_order_is_not_forwarded(stand: Stand) -> None:
+    stand.order(ORDER)
+    stand.topic.send("w-2", "w-1")
+    stand.order(replace(ORDER, epoch=6, source="w-2"))
+    assert stand.topic.forwarded == ["w-1"]
+    stand.after(0.0, "w-1", "w-2")
+    assert stand.topic.forwarded == ["w-1", "w-2"]
+
+
+def test_a_writer_that_discovery_has_not_reported_is_not_forwarded(stand: Stand) -> None:
+    stand.order(ORDER)
+    del stand.mux.instances[GIDS["w-1"]]
+    stand.after(0.1, "w-1")
+    assert stand.topic.forwarded == []
+    assert stand.mux.unknown == {GIDS["w-1"]}
+
+
+def test_a_silent_instance_is_replaced_without_an_order(stand: Stand) -> None:
+    stand.order(ORDER)
+    stand.after(0.1, "w-1", "w-2")
+    assert stand.mux.due_at == pytest.approx(stand.now + 0.5)
+    stand.after(0.45, "w-2")
+    assert stand.report.source == "w-1"
+    stand.after(0.06, "w-2")
+    report = stand.report
+    assert (report.source, report.token) == ("w-2", Token(1000.0, 5, 1))
+    stand.after(0.01, "w-1", "w-2")
+    assert stand.topic.forwarded == ["w-1", "w-2"], "the first one does not come back by itself"
+
+
+def test_a_process_that_stood_still_hears_first_what_arrived_meanwhile(stand: Stand) -> None:
+    stand.order(ORDER)
+    stand.after(0.1, "w-1", "w-2")
+    stand.after(5.0, "w-1", "w-2")
+    assert stand.report.source == "w-1"
+
+
+def test_a_mux_that_restarts_goes_on_and_refuses_older_orders(stand: Stand) -> None:
+    stand.order(ORDER)
+    stand.order(replace(ORDER, epoch=6, source="w-2"))
+    stand.start()
+    stand.after(0.01, "w-1", "w-2")
+    assert stand.topic.forwarded == ["w-2"]
+    assert "of epoch 5" in stand.order(ORDER).refused
+    assert stand.report.source == "w-2"
+
+
+def test_a_decision_that_cannot_be_kept_has_no_effect(stand: Stand, tmp_path: Path) -> None:
+    stand.order(ORDER)
+    (tmp_path / "control.new").mkdir()
+    report = stand.order(replace(ORDER, epoch=6, source="w-2"), "later")
+    assert (report.source, report.nonce) == ("w-1", "later")
+    assert "cannot keep it" in report.refused
+    stand.after(1.0, "w-2")
+    assert stand.report.source == "w-1"
+    (tmp_path / "control.new").rmdir()
+    stand.after(0.01, "w-2")
+    assert stand.report.source == "w-2"
+
+
+def test_a_damaged_file_is_moved_aside_and_nobody_is_forwarded(stand: Stand, tmp_path: Path) -> None:
+    stand.order(ORDER)
+    (tmp_path / "control.json").write_text("{}")
+    stand.start()
+    assert stand.mux.control == Control()
+    assert (tmp_path / "control.damaged").exists()
+
+
+def test_the_report_says_whom_the_robot_receives_since_when_and_who_else_is_heard(stand: Stand) -> None:
+    report = stand.order(ORDER, "n-1")
+    assert (report.source, report.nonce, report.refused, report.forwarded, report.since) == (
+        "w-1",
+        "n-1",
+        "",
+        0,
+        math.inf,
+    )
+    stand.after(0.1, "w-1", "w-2")
+    stand.after(0.2, "w-1")
+    report = stand.report
+    assert (report.forwarded, report.since) == (2, pytest.approx(0.2))
+    assert report.heard == {"w-1": {"/cmd_vel": 0.0}, "w-2": {"/cmd_vel": pytest.approx(0.2)}}
+
+
+def test_an_order_of_somebody_else_is_ignored(stand: Stand) -> None:
+    stand.mux.order(order_text(ORDER, "n", derive(b"other", "fleet", "w")))
+    assert stand.report.source == ""
+    assert stand.report.nonce == ""

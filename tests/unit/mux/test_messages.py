@@ -1,0 +1,68 @@
+"""Orders and reports are read as they were written, by those who know the token of the workload, and by nobody else."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from understudy.api.protocol.session_keys import NotAuthentic
+from understudy.mux.control import Order, StandingOrder, Token
+from understudy.mux.messages import Report, derive, order_text, read_order, read_report, report_text
+
+KEYS = derive(b"token", "fleet", "robot-17")
+TOKENS = st.builds(Token, st.floats(0, 2e9), st.integers(0, 2**31), st.integers(0, 100))
+LENGTHS = st.floats(0, 1e6)
+OUTPUTS = st.dictionaries(st.text(max_size=10), LENGTHS, max_size=3)
+ORDERS = st.builds(
+    Order,
+    LENGTHS,
+    st.integers(0, 2**31),
+    st.text(max_size=20),
+    TOKENS,
+    st.builds(StandingOrder, st.lists(st.text(max_size=20), max_size=3).map(tuple), OUTPUTS),
+    st.integers(0, 100),
+)
+REPORTS = st.builds(
+    Report,
+    TOKENS,
+    st.text(max_size=20),
+    st.text(max_size=20),
+    st.text(max_size=20),
+    st.integers(0, 2**40),
+    LENGTHS | st.just(math.inf),
+    st.dictionaries(st.text(max_size=10), OUTPUTS, max_size=3),
+    st.lists(st.text(max_size=20), max_size=3).map(tuple),
+)
+
+
+@given(ORDERS, st.text(max_size=20))
+def test_an_order_is_read_as_it_was_written(order: Order, nonce: str) -> None:
+    assert read_order(order_text(order, nonce, KEYS), KEYS) == (order, nonce)
+
+
+@given(REPORTS)
+def test_a_report_is_read_as_it_was_written(report: Report) -> None:
+    assert read_report(report_text(report, KEYS), KEYS) == report
+
+
+ORDER = order_text(Order(1.0, 2, "w-1"), "n", KEYS)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", " ", "{}", ORDER.replace("w-1", "w-2"), ORDER[1:], ORDER + " ", report_text(Report(Token(), "", ""), KEYS)],
+)
+def test_a_text_that_was_changed_or_is_of_the_other_direction_is_refused(text: str) -> None:
+    with pytest.raises(NotAuthentic):
+        read_order(text, KEYS)
+
+
+@pytest.mark.parametrize(
+    "other", [(b"other", "fleet", "robot-17"), (b"token", "fleet", "robot-1"), (b"token", "flee", "trobot-17")]
+)
+def test_a_text_for_another_workload_or_with_another_token_is_refused(other: tuple[bytes, str, str]) -> None:
+    with pytest.raises(NotAuthentic):
+        read_order(ORDER, derive(*other))

@@ -1,0 +1,143 @@
+"""The process of a mux over real DDS: orders by a topic, two instances in partitions, and a robot without a profile."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+
+from tests.unit.ros.processes import Processes
+from tests.unit.ros.test_forwarded_topic import CHAT, HEAR, OUTPUTS, TALK, TYPE
+from understudy.api import names
+from understudy.mux.control import Order, StandingOrder, Token
+from understudy.mux.exchange import topics
+from understudy.mux.messages import Report, derive, order_text, read_report
+from understudy.ros.dds.profiles import muxed_profiles_xml
+
+pytestmark = pytest.mark.ros
+
+TOKEN = b"token"
+KEYS = derive(TOKEN, "fleet", "w")
+ORDER = Order(1000.0, 5, "w-1")
+
+MONITOR = """
+import sys, threading
+import rclpy
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from std_msgs.msg import String
+
+rclpy.init()
+node = Node("monitor")
+publisher = node.create_publisher(String, sys.argv[1], QoSProfile(depth=10))
+node.create_subscription(String, sys.argv[2], lambda message: print(message.data, flush=True), QoSProfile(depth=10))
+threading.Thread(target=lambda: rclpy.spin(node), daemon=True).start()
+print("ready", flush=True)
+for line in sys.stdin:
+    publisher.publish(String(data=line.rstrip("\\n")))
+"""
+
+
+class Stand:
+    """A robot, a monitor's topics, instances, and the process of a mux."""
+
+    def __init__(self, processes: Processes, folder: Path) -> None:
+        for name, text in (("talk", TALK), ("hear", HEAR), ("monitor", MONITOR)):
+            (folder / f"{name}.py").write_text(text)
+        (folder / "instance.xml").write_text(muxed_profiles_xml(OUTPUTS))
+        (folder / "token").write_bytes(TOKEN)
+        self._processes, self._folder = processes, folder
+        self.robot = processes.node(script=str(folder / "hear.py"))
+        self.monitor = processes.node(*topics("fleet", "w"), script=str(folder / "monitor.py"))
+        self.start()
+
+    def start(self) -> None:
+        self.mux = self._processes.start(
+            [sys.executable, "-m", "understudy.main", "mux"],
+            UNDERSTUDY_NAMESPACE="fleet",
+            UNDERSTUDY_WORKLOAD="w",
+            UNDERSTUDY_OUTPUTS=json.dumps({CHAT: TYPE}),
+            UNDERSTUDY_TOKEN_FILE=str(self._folder / "token"),
+            UNDERSTUDY_STATE=str(self._folder / "state"),
+            UNDERSTUDY_ADDRESS="127.0.0.1",
+        )
+
+    def instance(self, pod: str) -> subprocess.Popen[str]:
+        profile = str(self._folder / "instance.xml")
+        node: subprocess.Popen[str] = self._processes.node(
+            pod,
+            script=str(self._folder / "talk.py"),
+            FASTRTPS_DEFAULT_PROFILES_FILE=profile,
+            **{names.POD_VARIABLE: pod},
+        )
+        return node
+
+    def order(self, order: Order) -> Report:
+        """Send an order until the mux has received it."""
+        nonce = os.urandom(4).hex()
+        end = time.monotonic() + 30
+        while time.monotonic() < end:
+            print(order_text(order, nonce, KEYS), file=self.monitor.stdin, flush=True)
+            report = self.report()
+            if report.nonce == nonce:
+                return report
+        pytest.fail("the mux has not received the order")
+
+    def report(self) -> Report:
+        """Return the next report."""
+        return read_report(self._processes.line(self.monitor, 30), KEYS)
+
+    def until(self, source: str) -> Report:
+        """Wait until samples of an instance are forwarded."""
+        end = time.monotonic() + 30
+        while (report := self.report()).source != source or not report.forwarded:
+            assert time.monotonic() < end, f"{source} is not forwarded: {report}"
+        return report
+
+    def heard(self) -> list[str]:
+        """Return the pods from which the robot received since it was asked last, each once, in order."""
+        print(file=self.robot.stdin, flush=True)
+        pods = self._processes.line(self.robot, 30).split()[::2]
+        return [pod for index, pod in enumerate(pods) if not index or pods[index - 1] != pod]
+
+
+@pytest.fixture
+def stand(processes: Processes, discovery_server: Callable[[], object], tmp_path: Path) -> Stand:
+    discovery_server()
+    return Stand(processes, tmp_path)
+
+
+def test_the_robot_receives_whom_the_newest_order_names_also_after_a_restart_of_the_mux(stand: Stand) -> None:
+    stand.instance("w-1")
+    stand.instance("w-2")
+    assert stand.heard() == []
+    stand.order(ORDER)
+    stand.until("w-1")
+    stand.order(replace(ORDER, epoch=6, source="w-2"))
+    stand.until("w-2")
+    assert stand.heard() == ["w-1", "w-2"]
+    stand.mux.kill()
+    stand.start()
+    stand.until("w-2")
+    assert "of epoch 5" in stand.order(ORDER).refused
+    assert stand.heard() == ["w-2"]
+
+
+def test_a_silent_instance_is_replaced_while_nobody_gives_orders(stand: Stand) -> None:
+    first = stand.instance("w-1")
+    stand.instance("w-2")
+    stand.order(replace(ORDER, standing=StandingOrder(("w-2",), {CHAT: 0.5})))
+    stand.until("w-1")
+    first.kill()
+    assert stand.until("w-2").token == Token(1000.0, 5, 1)
+    assert stand.heard() == ["w-1", "w-2"]
