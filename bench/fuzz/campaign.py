@@ -112,6 +112,8 @@ class Campaign:
         try:
             for space in spaces:
                 space("create", "namespace", space.namespace)
+                # Generated templates have no security contexts, and should reach the operator.
+                space("label", "namespace", space.namespace, "pod-security.kubernetes.io/enforce=baseline")
             self._set_up()
             self._measure()
         finally:

@@ -56,6 +56,15 @@ BUILT = (
 
 
 def template(**container: Any) -> Object:
+    """A template at the Pod Security level `restricted`."""
+    hardened = {"allowPrivilegeEscalation": False, "capabilities": {"drop": ["ALL"]}}
+    found = bare_template(**({"securityContext": hardened} | container))
+    found["spec"]["securityContext"] = {"runAsNonRoot": True, "seccompProfile": {"type": "RuntimeDefault"}}
+    return found
+
+
+def bare_template(**container: Any) -> Object:
+    """A template without security contexts, at the level `baseline`."""
     app = {"name": "app", "image": NOWHERE, "imagePullPolicy": "Never", "command": ["run"], **container}
     return {
         "metadata": {"labels": {"app": "nav"}},

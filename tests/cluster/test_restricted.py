@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tests.cluster.operators import CORE, Fleet, Operator, hot, policy, spare, template, workload
+from tests.cluster.operators import CORE, Fleet, Operator, bare_template, hot, policy, spare, workload
 from tests.support.cluster import Cluster, Object, until
 from understudy.api import names
 
@@ -18,16 +18,9 @@ def restricted(cluster: Cluster, namespace: str) -> None:
     _restrict(cluster, namespace)
 
 
-def _restrict(cluster: Cluster, namespace: str) -> None:
+def _restrict(cluster: Cluster, namespace: str, level: str = "restricted") -> None:
     found = cluster.get(CORE, "Namespace", namespace)
-    cluster.patch(found, {"metadata": {"labels": {"pod-security.kubernetes.io/enforce": "restricted"}}})
-
-
-def within() -> Object:
-    """A template that asks for no more than it may."""
-    found = template(securityContext={"allowPrivilegeEscalation": False, "capabilities": {"drop": ["ALL"]}})
-    found["spec"]["securityContext"] = {"runAsNonRoot": True, "seccompProfile": {"type": "RuntimeDefault"}}
-    return found
+    cluster.patch(found, {"metadata": {"labels": {"pod-security.kubernetes.io/enforce": level}}})
 
 
 def test_monitors_discovery_servers_and_agents_are_within_it(
@@ -37,9 +30,9 @@ def test_monitors_discovery_servers_and_agents_are_within_it(
     fleet.create(
         policy("hot", "spare"),
         hot(),
-        spare(replicas=1, template=within()),
-        workload(template=within(), gate={"reflex": {"deadline": "100ms"}}),
-        workload("tasked", template=within(), tasks=tasks),
+        spare(replicas=1),
+        workload(gate={"reflex": {"deadline": "100ms"}}),
+        workload("tasked", tasks=tasks),
     )
     for name in ("w", "tasked"):
         fleet.wait_built(name)
@@ -52,7 +45,9 @@ def test_monitors_discovery_servers_and_agents_are_within_it(
 
 def test_an_earlier_template_that_violates_pod_security_is_reported_with_the_missing_fields(fleet: Fleet) -> None:
     """Templates that are written later are refused: strangers/test_templates.py."""
-    fleet.create(policy("hot", "spare"), hot(), spare(replicas=1), workload())
+    _restrict(fleet.cluster, fleet.namespace, "baseline")
+    bare = bare_template()
+    fleet.create(policy("hot", "spare"), hot(), spare(replicas=1, template=bare), workload(template=bare))
     _restrict(fleet.cluster, fleet.namespace)
     with Operator(fleet.cluster.kubeconfig, fleet.namespace):
         for kind, name in (("RobotWorkload", "w"), ("FallbackPool", "spare")):

@@ -127,7 +127,9 @@ def _reference_to_nothing(kubectl: Kubectl) -> None:
 
 
 def _template_broken(kubectl: Kubectl) -> None:
-    body = {"spec": {"template": {"spec": {"containers": [{"name": "drive", "image": "localhost/no-such-image:dev"}]}}}}
+    security = {"allowPrivilegeEscalation": False, "capabilities": {"drop": ["ALL"]}}
+    container = {"name": "drive", "image": "localhost/no-such-image:dev", "securityContext": security}
+    body = {"spec": {"template": {"spec": {"containers": [container]}}}}
     kubectl.patch("robotworkload", "robot-1-drive", body)
 
 

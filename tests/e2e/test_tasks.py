@@ -30,6 +30,7 @@ def container(role: str, *arguments: str, name: str = "app", action: str = ACTIO
         "imagePullPolicy": "IfNotPresent",
         "command": ["python3", "/nodes/nodes.py", role, action, *arguments],
         "env": [{"name": key, "value": value} for key, value in {"HOME": "/tmp", **environment}.items()],
+        "securityContext": {"allowPrivilegeEscalation": False, "capabilities": {"drop": ["ALL"]}},
         "volumeMounts": [{"name": "nodes", "mountPath": "/nodes"}],
     }
 
@@ -72,6 +73,7 @@ class Cell:
         template = {
             "spec": {
                 "terminationGracePeriodSeconds": 1,
+                "securityContext": {"runAsNonRoot": True, "seccompProfile": {"type": "RuntimeDefault"}},
                 "containers": self.containers(),
                 "volumes": [NODES_VOLUME],
             }

@@ -9,8 +9,10 @@ import pytest
 
 from tests.cluster.conftest import Release
 from tests.cluster.monitor_accounts import refusal, until_refused
-from tests.cluster.operators import spare, template, workload
+from tests.cluster.operators import Fleet, Operator, bare_template, policy, spare, template, workload
 from tests.support.cluster import Cluster, Object, Refused
+from tests.support.pod_security import violations
+from understudy.api import names
 
 ENFORCE = "pod-security.kubernetes.io/enforce"
 LEVELS = ("privileged", "baseline", "restricted")
@@ -19,7 +21,7 @@ LEVELS = ("privileged", "baseline", "restricted")
 def _with(
     pod: Mapping[str, Any] | None = None, annotations: Mapping[str, str] | None = None, **container: Any
 ) -> Object:
-    found = template(**container)
+    found = bare_template(**container)
     found["spec"] |= pod or {}
     found["metadata"]["annotations"] = dict(annotations or {})
     return found
@@ -28,7 +30,8 @@ def _with(
 def _hardened(pod: Mapping[str, Any] | None = None, **context: Any) -> Object:
     """A template at the level restricted, except for these fields of the pod, and of its security contexts."""
     secured: Object = {"runAsNonRoot": True, "seccompProfile": {"type": "RuntimeDefault"}}
-    found = template(securityContext={"allowPrivilegeEscalation": False, "capabilities": {"drop": ["ALL"]}, **context})
+    hardened = {"allowPrivilegeEscalation": False, "capabilities": {"drop": ["ALL"]}}
+    found = bare_template(securityContext={**hardened, **context})
     found["spec"] |= {"securityContext": secured} | (pod or {})
     return found
 
@@ -42,7 +45,9 @@ def _pod_context(**fields: Any) -> Object:
 
 
 def _initial(**fields: Any) -> Object:
-    return _with({"initContainers": [template(securityContext=fields)["spec"]["containers"][0] | {"name": "first"}]})
+    return _with(
+        {"initContainers": [bare_template(securityContext=fields)["spec"]["containers"][0] | {"name": "first"}]}
+    )
 
 
 def _volume(**source: Any) -> Object:
@@ -98,7 +103,7 @@ TEMPLATES: dict[str, Object] = {
     "may-be-root-by-container": _hardened(runAsNonRoot=False),
     "may-be-root-by-pod": _hardened({"securityContext": {"runAsNonRoot": False, **_SECCOMP}}, runAsNonRoot=True),
     "no-seccomp": _hardened({"securityContext": {"runAsNonRoot": True}}),
-    "initial-container": _hardened({"initContainers": [template()["spec"]["containers"][0] | {"name": "first"}]}),
+    "initial-container": _hardened({"initContainers": [bare_template()["spec"]["containers"][0] | {"name": "first"}]}),
     "secret": _volume(secret={"secretName": "s"}),
     "claim": _volume(persistentVolumeClaim={"claimName": "c"}),
     "driver": _volume(csi={"driver": "d"}),
@@ -176,20 +181,16 @@ def test_a_namespace_with_a_level_refuses_what_pod_security_refuses(cluster: Clu
     }[level]
 
 
-def test_a_namespace_without_a_level_is_at_baseline(cluster: Cluster, space: str) -> None:
+def test_the_tests_without_an_api_server_go_by_the_same_rules(cluster: Cluster, namespace: str) -> None:
+    _label(cluster, namespace, "restricted")
+    assert {name for name, of in TEMPLATES.items() if violations(of)} == _refused_by_kubernetes(cluster, namespace)
+
+
+def test_a_namespace_without_a_level_is_restricted(cluster: Cluster, space: str) -> None:
     found = _refused(cluster, space)
-    _label(cluster, space, "baseline")
+    assert "plain" in found
+    _label(cluster, space, "restricted")
     assert found == _refused_by_kubernetes(cluster, space)
-
-
-def test_the_chart_has_a_namespace_without_a_level_be_restricted(
-    cluster: Cluster, space: str, author_policies: Callable[..., None]
-) -> None:
-    author_policies(podSecurity="restricted")
-    until_refused(
-        lambda: _create(cluster, space, TEMPLATES["plain"]), "level restricted for namespaces without", "the level"
-    )
-    _create(cluster, space, TEMPLATES["hardened"])
     _label(cluster, space, "baseline")
     _create(cluster, space, TEMPLATES["plain"])
 
@@ -200,7 +201,7 @@ def test_a_refusal_names_all_that_is_refused(cluster: Cluster, space: str, of: C
     item["spec"]["template"]["spec"]["volumes"] = [{"name": "root", "hostPath": {"path": "/"}}]
     message = refusal(lambda: cluster.create(item, space))
     assert f"spec.template of {item['kind']} {space}/{item['metadata']['name']} violates" in message
-    assert f"level baseline for namespaces without the label {ENFORCE}" in message
+    assert f"level restricted for namespaces without the label {ENFORCE}" in message
     for words in ("hostPath of volume root", "privileged of container app", "capabilities.add of container app"):
         assert words in message
 
@@ -214,3 +215,18 @@ def test_only_a_changed_template_is_refused(cluster: Cluster, space: str) -> Non
     more = {"spec": {"template": {"metadata": {"labels": {"more": "yes"}}}}}
     assert "privileged of container app" in refusal(lambda: cluster.patch(made, more))
     cluster.patch(made, {"spec": {"template": TEMPLATES["hardened"]}})
+
+
+@pytest.mark.parametrize("volume", [names.MEMORY_VOLUME, names.TOKEN_VOLUME, names.AGENT_VOLUME])
+def test_a_template_that_mounts_a_volume_of_the_agent_is_not_followed(
+    fleet: Fleet, operator: Operator, volume: str
+) -> None:
+    mounts = [{"name": volume, "mountPath": "/theirs"}]
+    stolen = template(volumeMounts=mounts)
+    fleet.create(policy("spare"), spare(1, template=stolen), workload(template=stolen))
+    for kind, name in (("RobotWorkload", "w"), ("FallbackPool", "spare")):
+        message = fleet.wait_condition(kind, name, "Accepted", "TemplateInvalid")["message"]
+        assert "spec.template.spec.containers[0].volumeMounts[0]" in message
+        assert volume in message
+    assert not fleet.instances()
+    assert not fleet.held()
