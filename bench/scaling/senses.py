@@ -137,8 +137,8 @@ class Outputs:
     def last_from_others(self, instance: Instance) -> tuple[float, str]:
         return 0.0, ""
 
-    def last_from_anybody(self) -> float:
-        return 0.0
+    def heard(self) -> Sequence[tuple[float, float]]:
+        return []
 
     def period_of_others(self, instance: Instance) -> float:
         return 0.0
