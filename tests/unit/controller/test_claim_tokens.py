@@ -392,3 +392,11 @@ async def test_a_deleted_pool_is_forgotten_once_and_not_at_each_change_of_its_po
         assert (("roles", NAMESPACE, "spare-robot-monitor") in working.remembered) == is_known
         store.remove(PODS, pod)
         store.remove(SECRETS, store.get(SECRETS, NAMESPACE, NAME) or secret())
+
+
+def test_the_pool_of_a_claimed_pod_without_its_label_is_known_by_its_secret() -> None:
+    """Otherwise its monitor would lose the right to command it, until the label is restored."""
+    pod = claimed_pod("spare-1", of=POOL, by=W)
+    pod["spec"] = {"volumes": [{"name": names.TOKEN_VOLUME, "secret": {"secretName": NAME}}]}
+    del pod["metadata"]["labels"][names.POOL]
+    assert claim_tokens.pools_of([pod]) == {"spare"}

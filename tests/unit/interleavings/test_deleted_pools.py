@@ -138,7 +138,7 @@ class Deleting(Simulation):
     def _commanded(self) -> list[Object]:
         """The pods that were claimed from the pool and may be in control."""
         found = [pod for _, pod in sorted(self.server.items["pods"].items())]
-        return [pod for pod in found if _claimed(pod) and _labels(pod)[names.POOL] == POOL[1] and _living(pod)]
+        return [pod for pod in found if _claimed(pod) and _labels(pod).get(names.POOL) == POOL[1] and _living(pod)]
 
     def _mistaken(self) -> Iterator[str]:
         yield from super()._mistaken()

@@ -19,6 +19,7 @@ from understudy.api import names
 from understudy.api.base import API_VERSION
 from understudy.controller.observed import kube_objects, ownership
 from understudy.controller.plan import Create, Delete, Patch, Write
+from understudy.kube import claims
 from understudy.kube.apply import controller_of
 from understudy.kube.client import SECRETS, Object
 
@@ -72,7 +73,7 @@ def outlast(
 
 def pools_of(pods: Sequence[Object]) -> set[str]:
     """Return the shared pools from which pods were claimed."""
-    return {kube_objects.labels(pod).get(names.POOL, "") for pod in pods if _is_claimed(pod)}
+    return {claims.pool_of(pod) for pod in pods if _is_claimed(pod)}
 
 
 def claimable(pod: Object) -> bool:
