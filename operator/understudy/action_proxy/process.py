@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
-import re
 import signal
 import sys
 from collections import deque
@@ -28,8 +27,6 @@ STATE = Path("/var/lib/understudy")
 
 OWN, LASTING = "tasks", "kept/tasks"
 """Folders of what lasts as long as the pod, and of what outlives it if the policy has a volume for kept state."""
-
-_NOT_IN_NAMES = r"[^a-zA-Z0-9_]"
 
 HUNG = 20.0
 """Seconds without activity after which the thread that serves ROS counts as stuck. It blocks for a tenth of a second at
@@ -70,9 +67,9 @@ async def _run(namespace: str, workload: str, state: Path, socket: Path, port: i
     stop_requested = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, stop_requested.set)
-    served = ServedNode("understudy_tasks_" + re.sub(_NOT_IN_NAMES, "_", workload))
+    served = ServedNode("understudy_tasks_" + names.in_ros(workload))
     page = await http_pages.serve({"/healthz": lambda: health(served.silent_for)}, port)
-    others = OtherProxies(served, re.sub(_NOT_IN_NAMES, "_", f"{namespace}__{workload}"), state / OWN)
+    others = OtherProxies(served, names.in_ros(f"{namespace}__{workload}"), state / OWN)
     stopping = asyncio.create_task(stop_requested.wait())
     reported: deque[ControlState] = deque(maxlen=1)
     talk = MonitorSocket(reported.append, lambda: {"tasks": [], "epoch": None})

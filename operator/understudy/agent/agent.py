@@ -6,7 +6,6 @@ import asyncio
 import dataclasses
 import logging
 import os
-import re
 import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
@@ -61,7 +60,7 @@ class Agent:
         self._health.resume(self._memory.process_up_at, self._memory.ready_at)
         self._caller: InstanceCaller | None = None
         self._restorer = StateRestorer(lambda: self.caller)
-        name = "understudy_goals_" + re.sub(r"[^a-zA-Z0-9_]", "_", identity.pod)
+        name = "understudy_goals_" + names.in_ros(identity.pod)
         self._goals = TaskGoals(name, self._health.place, lambda event: self.publish(event))
         self._procedures = ProcedureRunner(
             self._actions,
@@ -320,7 +319,7 @@ class Agent:
         if self._caller is None:
             from understudy.ros.actions.instance_calls import InstanceCaller
 
-            name = "understudy_calls_" + re.sub(r"[^a-zA-Z0-9_]", "_", self._identity.pod)
+            name = "understudy_calls_" + names.in_ros(self._identity.pod)
             self._caller = InstanceCaller(name, place=self._health.place)
         return self._caller
 

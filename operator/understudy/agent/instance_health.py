@@ -14,13 +14,13 @@ import asyncio
 import contextlib
 import dataclasses
 import logging
-import re
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from understudy.agent.output_topics import Output
+from understudy.api import names
 from understudy.api.protocol.agent_messages import OutputCount
 from understudy.clock import CLOCK
 
@@ -158,7 +158,7 @@ class InstanceHealth:
         ``on_writers`` is called now and then with the GIDs of this pod's writers of outputs.
         """
         self.judgement = InstanceJudgement()
-        self._node_name = "understudy_agent_" + re.sub(r"[^a-zA-Z0-9_]", "_", pod)
+        self._node_name = "understudy_agent_" + names.in_ros(pod)
         self._on_change = on_change
         self._on_writers = on_writers
         self._plan: HealthPlan | None = None

@@ -6,6 +6,8 @@ once. Imports nothing, because every pod's agent imports this module.
 
 from __future__ import annotations
 
+import re
+
 GROUP = "understudy.dev"
 
 WORKLOAD = f"{GROUP}/workload"
@@ -283,3 +285,8 @@ def pool_secret(pool: str) -> str:
 def pool_of_secret(secret: str) -> str:
     """Name of the pool that such a Secret is for."""
     return secret.removesuffix(_POOL_SECRET)
+
+
+def in_ros(name: str) -> str:
+    """Return a Kubernetes name as a part of a ROS name. What ROS does not allow becomes an underscore."""
+    return re.sub(r"[^a-zA-Z0-9_]", "_", name)

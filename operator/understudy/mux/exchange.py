@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from typing import Any
 
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 
+from understudy.api import names
 from understudy.ros.runtime.arrival_wakeups import ArrivalWakeups
 from understudy.ros.runtime.graph_node import Graph
 from understudy.ros.runtime.interface_types import message_class
@@ -20,7 +20,7 @@ _DEPTH = 10
 
 def topics(namespace: str, workload: str) -> tuple[str, str]:
     """Return the topics of the orders and of the reports of a workload."""
-    place = "/understudy/" + "/".join(re.sub(r"\W", "_", name) for name in (namespace, workload))
+    place = "/understudy/" + "/".join(map(names.in_ros, (namespace, workload)))
     return f"{place}/mux_orders", f"{place}/mux_reports"
 
 

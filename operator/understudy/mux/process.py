@@ -7,7 +7,6 @@ import json
 import logging
 import math
 import os
-import re
 import signal
 import socket
 import sys
@@ -15,6 +14,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from understudy.api import names
 from understudy.mux.control_journal import ControlJournal
 from understudy.mux.forwarder import Forwarder
 from understudy.mux.messages import derive
@@ -76,7 +76,7 @@ async def _run(namespace: str, workload: str, outputs: Mapping[str, str], token:
     loop, stopping = asyncio.get_running_loop(), asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, stopping.set)
-    graph, taker, wakeups = Graph("understudy_mux_" + re.sub(r"\W", "_", workload)), SampleTaker(), ArrivalWakeups()
+    graph, taker, wakeups = Graph("understudy_mux_" + names.in_ros(workload)), SampleTaker(), ArrivalWakeups()
     routes = [ForwardedTopic(graph, topic, type_name, taker, wakeups) for topic, type_name in outputs.items()]
     forwarder = Forwarder(routes, derive(token, namespace, workload), ControlJournal(state / "control.json"))
     exchange = Exchange(graph, namespace, workload, taker, wakeups)

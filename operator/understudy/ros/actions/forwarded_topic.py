@@ -83,12 +83,6 @@ class ForwardedTopic:
                     forwarded += 1
         return forwarded
 
-    def close(self) -> None:
-        """Remove both."""
-        self._wakeups.forget(self._subscription.handle)
-        self._graph.unsubscribe(self._subscription)
-        self._graph.node.destroy_publisher(self._publisher)
-
 
 def offered(readers: Sequence[QoSProfile]) -> QoSProfile:
     """Return the QoS that matches all readers: reliable, and for each other policy the strictest that one of them requests."""
