@@ -3,10 +3,10 @@
     scripts/bench chaos [--faults 100] [--seed 1] [--robots WAY ...] [--every 4] [--only KIND ...] [--timeout 1]
 
 Six robots are driven at once, each recovered in another way: an executing standby, the same with a reflex, a
-restart, a held pod, a configured standby, and an application that counts its steps and serves goals. Every few seconds
-something fails: processes, pods, nodes, links, networks, monitors, the operator, the API server, discovery servers, gates and
-labels. The seed decides what, when and to whom. Each robot's own log says which commands it received, who sent them,
-and when. It is compared with the gate's commits, the recorded recoveries and the faults.
+restart, a held pod with an application in C, a configured standby, and an application that counts its steps and
+serves goals. Every few seconds something fails: processes, pods, nodes, links, networks, monitors, the operator, the
+API server, discovery servers, gates and labels. The seed decides what, when and to whom. Each robot's own log says
+which commands it received, who sent them, and when. It is compared with the gate's commits, the recorded recoveries and the faults.
 
 The bench needs the local provider, because no other provider can do all that. The clock of a node cannot be changed
 there, since all nodes have this machine's clock.

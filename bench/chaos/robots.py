@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 import copy
 import json
+import subprocess
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,8 +34,8 @@ GOAL = 24
 KEPT = "kept"
 """End of the name of the claim of a worker's kept state, which outlasts the node of its monitor."""
 
-_PROGRAM = "/nodes/worker.py"
-_FILE = Path(__file__).with_name("worker.py")
+_COMMANDS = {"worker": ("python3", "/nodes/worker.py"), "driver": ("ros-environment", "/nodes/driver")}
+_FOLDER = Path(__file__).parent
 _IMAGE = "localhost/understudy-monitor:dev"
 _HARDENED = {"allowPrivilegeEscalation": False, "capabilities": {"drop": ["ALL"]}}
 
@@ -58,7 +61,7 @@ class CampaignRobot(Robot):
     @property
     def application(self) -> str:
         """Words of the command line of its application."""
-        return _PROGRAM if self.way.worker else APPLICATION
+        return _COMMANDS[self.way.application][-1] if self.way.application in _COMMANDS else APPLICATION
 
     def all_objects(self) -> list[Object]:
         """Return the robot, its workload, policy and pool, and its client, all under names of its own."""
@@ -99,10 +102,11 @@ class CampaignRobot(Robot):
                 output["lifespan"] = f"{1000 * PERIOD:.0f}ms"
         if self.way.reflex:
             spec["gate"] = {"reflex": {"deadline": f"{1000 * REFLEX_DEADLINE:.0f}ms"}}
-        if self.way.worker:
-            application = _container("drive", "drive")
+        if self.way.application in _COMMANDS:
+            application = _container("drive", *_COMMANDS[self.way.application], "drive")
             pod["containers"] = [pod["containers"][0] | application]
             pod["volumes"] = [_volume()]
+        if self.way.worker:
             spec["tasks"] = [{"action": "/goto", "type": "test_msgs/action/Fibonacci"}]
         away = {"key": "kubernetes.io/hostname", "operator": "NotIn", "values": [HOUSE]}
         terms = {"nodeSelectorTerms": [{"matchExpressions": [away]}]}
@@ -111,7 +115,7 @@ class CampaignRobot(Robot):
     def _client(self) -> list[Object]:
         if not self.way.worker:
             return []
-        container = _container("client", "client", str(GOAL))
+        container = _container("client", *_COMMANDS["worker"], "client", str(GOAL))
         container["envFrom"] = [{"configMapRef": {"name": names.robot_env(self.workload)}}]
         container["volumeMounts"].append({"name": "profiles", "mountPath": "/etc/understudy"})
         profiles = {"name": "profiles", "configMap": {"name": names.robot_profiles(self.workload)}}
@@ -159,12 +163,12 @@ class CampaignRobot(Robot):
         return f"{self.name}-client"
 
 
-def _container(name: str, *arguments: str) -> Object:
+def _container(name: str, *command: str) -> Object:
     return {
         "name": name,
         "image": _IMAGE,
         "imagePullPolicy": "IfNotPresent",
-        "command": ["python3", _PROGRAM, *arguments],
+        "command": list(command),
         "env": [{"name": "HOME", "value": "/tmp"}],
         "securityContext": copy.deepcopy(_HARDENED),
         "volumeMounts": [{"name": "nodes", "mountPath": "/nodes"}],
@@ -172,13 +176,41 @@ def _container(name: str, *arguments: str) -> Object:
 
 
 def _volume() -> Object:
-    return {"name": "nodes", "configMap": {"name": "nodes"}}
+    return {"name": "nodes", "configMap": {"name": "nodes", "defaultMode": 0o555}}
+
+
+def compiled(program: str, folder: Path) -> bytes:
+    """Return a program in C that is built with the headers and libraries of the Python environment's wheels of ROS."""
+    environment = Path(sys.prefix)
+    libraries = (
+        "rcl",
+        "rcutils",
+        "rosidl_runtime_c",
+        "geometry_msgs__rosidl_generator_c",
+        "geometry_msgs__rosidl_typesupport_c",
+    )
+    command = [
+        *("gcc", "-O1", "-Wall", "-Werror", "-rdynamic", "-Wl,--allow-shlib-undefined"),
+        *(f"-I{headers}" for headers in sorted((environment / "include").iterdir())),
+        *(str(_FOLDER / f"{program}.c"), "-o", str(folder / program), f"-L{environment / 'lib'}"),
+        *(f"-l{library}" for library in libraries),
+    ]
+    try:
+        built = subprocess.run(command, capture_output=True, text=True, check=False)
+    except FileNotFoundError as error:
+        raise SystemExit("a robot's application is in C: install gcc, or name other robots with --robots") from error
+    if built.returncode:
+        raise SystemExit(f"{program}.c: {built.stderr}")
+    return (folder / program).read_bytes()
 
 
 def start(kubectl: Kubectl, ways: Sequence[str], timeout: float, folder: Path) -> Sequence[CampaignRobot]:
     """Create a robot for each of these ways, and wait until all are protected. The workers' kept state is in the folder."""
-    program = {"apiVersion": "v1", "kind": "ConfigMap", "metadata": {"name": "nodes"}}
-    kubectl.apply([program | {"data": {"worker.py": _FILE.read_text()}}])
+    programs: Object = {"apiVersion": "v1", "kind": "ConfigMap", "metadata": {"name": "nodes"}}
+    programs["data"] = {"worker.py": (_FOLDER / "worker.py").read_text()}
+    if any(BY_NAME[way].application == "driver" for way in ways):
+        programs["binaryData"] = {"driver": base64.b64encode(compiled("driver", folder)).decode()}
+    kubectl.apply([programs])
     robots = [CampaignRobot(kubectl, index, BY_NAME[way], timeout) for index, way in enumerate(ways)]
     for robot in robots:
         if robot.way.worker:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 
 @dataclass(frozen=True)
@@ -14,18 +15,21 @@ class Way:
     """The quickstart's manifest with policy and pool."""
     workload: str = "robotworkload.yaml"
     reflex: bool = False
-    worker: bool = False
-    """Whether the application is the one that counts steps and serves goals, instead of the quickstart's."""
+    application: Literal["quickstart", "worker", "driver"] = "quickstart"
+    """The quickstart's, or the one that counts steps and serves goals (``worker.py``), or the one in C (``driver.c``)."""
+
+    @property
+    def worker(self) -> bool:
+        """Whether its application has steps and goals to lose."""
+        return self.application == "worker"
 
 
 WAYS = (
     Way("executing", "executing"),
     Way("reflex", "executing", reflex=True),
     Way("restart", "restart"),
-    Way("uninitialized", "uninitialized"),
+    Way("uninitialized", "uninitialized", application="driver"),
     Way("initialized", "initialized", "managed/robotworkload.yaml"),
-    Way("worker", "uninitialized", worker=True),
+    Way("worker", "uninitialized", application="worker"),
 )
-"""All examples have applications in Python: there is no image with one in C++."""
-
 BY_NAME = {way.name: way for way in WAYS}
