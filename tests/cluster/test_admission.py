@@ -359,6 +359,20 @@ def test_nobody_else_changes_the_labels_of_an_instance(
     assert live["metadata"]["labels"] == pod["metadata"]["labels"]
 
 
+@pytest.mark.parametrize("claim", ["a/b", None])
+def test_nobody_else_writes_or_removes_the_claim_of_a_pod(
+    cluster: Cluster, namespace: str, person: str, release: Release, claim: str | None
+) -> None:
+    """A pod with a forged claim would count as one of a shared pool, and its workload would get another standby."""
+    pod = _pod(cluster, namespace, "instance", {names.WORKLOAD: MINE, names.INSTANCE: "instance"})
+    if claim is None:
+        operator = account(release.namespace, release.operator)
+        pod = cluster.patch(pod, {"metadata": {"annotations": {names.CLAIM: "u/1"}}}, user=operator)
+    body = {"metadata": {"annotations": {names.CLAIM: claim}}}
+    message = refusal(lambda: cluster.patch(pod, body, user=person))
+    assert f"{person} may not change the annotation {names.CLAIM} of pod {namespace}/instance" in message
+
+
 def test_nobody_else_makes_an_instance_of_a_pod(cluster: Cluster, namespace: str, person: str) -> None:
     pod = _pod(cluster, namespace, "camera", {"app": "camera"})
     assert f"may not change {names.WORKLOAD} of pod" in refusal(

@@ -283,8 +283,8 @@ def pool_secret(pool: str) -> str:
 
 
 def pool_of_secret(secret: str) -> str:
-    """Name of the pool that such a Secret is for."""
-    return secret.removesuffix(_POOL_SECRET)
+    """Name of the pool that such a Secret is for; empty if the name is that of another Secret."""
+    return secret.removesuffix(_POOL_SECRET) if secret.endswith(_POOL_SECRET) else ""
 
 
 def in_ros(name: str) -> str:

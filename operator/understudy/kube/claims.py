@@ -8,6 +8,7 @@ import time
 
 from understudy.api import names
 from understudy.api.base import API_VERSION
+from understudy.kube.apply import controller_of
 from understudy.kube.client import FAILURES, JSON, PODS, ApiError, Client, Object
 from understudy.kube.repeated_requests import RETRY_FIRST, RETRY_MOST, TRY_WITHIN, answered, unanswered
 
@@ -68,9 +69,14 @@ def pool_of(pod: Object) -> str:
 
 
 def pool_evidence(pod: Object) -> Object | None:
-    """Return the volume that shows the pool of a claimed pod without the label; None if the label is there."""
-    metadata = pod["metadata"]
+    """Return the volume that shows the pool of a claimed pod without the label; None if the label is there.
+
+    Whoever may patch pods may annotate one with a claim: only a pod that a RobotWorkload owns can have been claimed.
+    """
+    metadata, owner = pod["metadata"], controller_of(pod) or {}
     if names.POOL in (metadata.get("labels") or {}) or names.CLAIM not in (metadata.get("annotations") or {}):
+        return None
+    if owner.get("kind") != "RobotWorkload":
         return None
     volumes = (pod.get("spec") or {}).get("volumes") or []
     return next((volume for volume in volumes if volume["name"] == names.TOKEN_VOLUME), None)

@@ -417,8 +417,13 @@ class Notices:
         gate: GateStatus | None = None,
         failing_since: float | None = None,
     ) -> None:
-        """Set the given fields. A failure lasts until the workload is healthy: only the first ``failing_since`` counts."""
+        """Set the given fields. A failure lasts until the workload is healthy: only the first ``failing_since`` counts.
+
+        The gate's epoch does not go back, although somebody may lower it at the gate: the operator restores it from here.
+        """
         old = self._status
+        if gate is not None and gate.epoch < old.gate.epoch:
+            gate = gate.model_copy(update={"epoch": old.gate.epoch})
         health = old.health if health is None else health
         since = old.failing_since if old.failing_since is not None else failing_since
         self._change(

@@ -279,6 +279,15 @@ def test_a_record_that_names_a_standby_and_nobody_in_control_lets_nobody_through
     assert patch["spec"]["podSelector"]["matchLabels"] == {names.WORKLOAD: "w", names.INSTANCE: names.GATE_CLOSED}
 
 
+def test_an_epoch_that_somebody_lowered_is_restored_to_the_last_reported_one() -> None:
+    """Agents would refuse the monitor otherwise: they know a newer epoch."""
+    gate = GATE.closed("w", Reach(), epoch=3)
+    gate["metadata"] |= {"resourceVersion": "1", "ownerReferences": [OWNER]}
+    patch = GATE.repair(gate, Reach(), owner=OWNER, labels={}, epoch=7)
+    assert patch == {"metadata": {"annotations": {names.EPOCH: "7"}}}
+    assert GATE.repair(gate, Reach(), owner=OWNER, labels={}, epoch=3) is None
+
+
 @pytest.mark.parametrize("text", ["²", "9" * 5000, "-1", "soon", ""])
 def test_an_epoch_that_is_no_number_counts_as_none(text: str) -> None:
     gate = GATE.closed("w", Reach(), epoch=3)

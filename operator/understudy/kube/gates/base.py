@@ -180,11 +180,14 @@ class GateKind(ABC):
 
     # -- The same for every kind ----------------------------------------------------------------------------------------
 
-    def repair(self, gate: Object, reach: Reach, *, owner: Object, labels: Mapping[str, str]) -> Object | None:
+    def repair(
+        self, gate: Object, reach: Reach, *, owner: Object, labels: Mapping[str, str], epoch: int = 0
+    ) -> Object | None:
         """Return a merge patch that restores a gate object; None if nothing differs.
 
         Routing and record belong to the monitor. But a routing that no commit writes is restored from the record, because it may let any
-        pod of the namespace through. ``owner`` is the RobotWorkload. The patch is valid for this version of the gate object only.
+        pod of the namespace through. ``owner`` is the RobotWorkload. ``epoch`` is the last one that the monitor has reported: if somebody
+        lowered that of the gate, agents would refuse the monitor. The patch is valid for this version of the gate object only.
         """
         metadata, workload = gate["metadata"], owner["name"]
         patch = self.spec_repair(gate, workload, reach)
@@ -198,6 +201,8 @@ class GateKind(ABC):
         owners = metadata.get("ownerReferences") or []
         if owner not in owners:
             fields["ownerReferences"] = [*(one for one in owners if one.get("uid") != owner["uid"]), owner]
+        if epoch and GateRecord.of(gate).epoch < epoch:
+            fields["annotations"] = {names.EPOCH: str(epoch)}
         return (patch | ({"metadata": fields} if fields else {})) or None
 
     def malformed(self, gate: Object, workload: str) -> bool:

@@ -106,6 +106,23 @@ def test_a_claimed_pod_is_of_its_pool_although_somebody_has_removed_the_label() 
     assert (found.pool, found.from_source) == ("spare", False)
 
 
+@pytest.mark.parametrize(
+    ("owners", "secret"),
+    [
+        ({"ownerReferences": [{"kind": "ReplicaSet", "name": "w", "controller": True}]}, names.agent_secret("w")),
+        ({"ownerReferences": [{"kind": "ReplicaSet", "name": "w", "controller": True}]}, names.pool_secret("w")),
+        ({}, names.pool_secret("w")),
+    ],
+)
+def test_a_pod_of_the_workloads_own_controller_stays_one_although_somebody_wrote_a_claim(
+    owners: Any, secret: str
+) -> None:
+    """Else a restart would wait in vain for another one. A workload "w-pool" has a Secret with the name of a pool's."""
+    found = pod(owners | {"annotations": {names.CLAIM: "a/b"}})
+    found["spec"]["volumes"] = [{"name": names.TOKEN_VOLUME, "secret": {"secretName": secret}}]
+    assert (instance_of(found).pool, instance_of(found).from_source) == ("", True)
+
+
 def test_a_standby_without_its_label_is_not_of_the_workloads_own_controller() -> None:
     assert not instance_of(pod(OWNED)).from_source
     assert instance_of(pod({"ownerReferences": [{"kind": "ReplicaSet", "name": "w", "controller": True}]})).from_source
