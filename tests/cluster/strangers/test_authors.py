@@ -117,6 +117,20 @@ def test_a_tenant_creates_nothing_that_uses_rights_of_the_operator(
     assert f"in namespace {namespace}" in message
 
 
+@pytest.mark.parametrize("item", [workload(), policy("hot"), hot()], ids=["workload", "policy", "pool"])
+def test_nobody_gives_an_object_so_many_labels_that_its_status_has_no_room(
+    cluster: Cluster, namespace: str, item: Object, release: Release
+) -> None:
+    few, many = ({f"a{index}": "b" for index in range(number)} for number in (200, 201))
+    words = "metadata.labels of .* must have at most 200 entries; it has 201"
+    labelled = {**item, "metadata": {**item["metadata"], "labels": many}}
+    with pytest.raises(Refused, match=words):
+        cluster.create(labelled, namespace)
+    made = cluster.create({**item, "metadata": {**item["metadata"], "labels": few}}, namespace)
+    with pytest.raises(Refused, match=words):
+        cluster.patch(made, {"metadata": {"labels": many}})
+
+
 def test_a_tenant_mounts_no_host_path_where_pods_may(cluster: Cluster, namespace: str, tenant: str) -> None:
     space = cluster.get("v1", "Namespace", namespace)
     cluster.patch(space, {"metadata": {"labels": {"pod-security.kubernetes.io/enforce": "privileged"}}})
