@@ -2,7 +2,8 @@
 
 A turn of the loop runs everything that is due, and nothing else is served meanwhile. It costs four readings of clocks per
 turn, and no wakeups. The thread's own processor time separates work from waiting for a processor, which a busy node causes.
-The time of Python's garbage collection is known too, because it is not the fault of what the turn did.
+The time of Python's garbage collection is known too, because it is not the fault of what the turn did. A collection visits every object
+that the process holds. So what is left after a long one is exempt from later ones.
 """
 
 from __future__ import annotations
@@ -26,7 +27,13 @@ LONG = 0.05
 REPORTED = 0.1
 """Seconds of processor time from which on a turn is logged, so that its cause can be found next to it in the log."""
 
+LONG_COLLECTION = 0.02
+"""Seconds of processor time from which on a collection of all objects is a long one."""
+
 T = TypeVar("T")
+
+
+_OLDEST = 2
 
 
 @dataclass(frozen=True)
@@ -60,12 +67,19 @@ class TurnTimer(selectors.DefaultSelector):
         self._began, self._used, self._collected = time.monotonic(), time.thread_time(), 0.0
         return found
 
-    def collection(self, phase: str, _: dict[str, int]) -> None:
-        """Note the begin or the end of a garbage collection, as a member of ``gc.callbacks``."""
+    def collection(self, phase: str, info: dict[str, int]) -> None:
+        """Note the begin or the end of a garbage collection, as a member of ``gc.callbacks``.
+
+        After a long collection of all objects, those that are left are exempt from later ones. Copies of API objects have no cycles, so
+        they are freed as before when nothing refers to them.
+        """
         if phase == "start":
             self._collection_began = time.thread_time()
-        else:
-            self._collected += time.thread_time() - self._collection_began
+            return
+        took = time.thread_time() - self._collection_began
+        self._collected += took
+        if info["generation"] == _OLDEST and took >= LONG_COLLECTION:
+            gc.freeze()
 
 
 def run(main: Coroutine[Any, Any, T], report: Report) -> T:

@@ -11,7 +11,7 @@ import pytest
 from prometheus_client import CollectorRegistry
 
 from understudy.process import loop_turns
-from understudy.process.loop_turns import LONG, REPORTED, Turn
+from understudy.process.loop_turns import LONG, LONG_COLLECTION, REPORTED, Turn, TurnTimer
 
 
 def worked(seconds: float) -> None:
@@ -63,6 +63,24 @@ def test_garbage_collection_in_a_turn_is_named() -> None:
     longest = max(reported, key=lambda turn: turn.used)
     assert 0 < longest.collected <= longest.used - LONG
     assert gc.callbacks == callbacks
+
+
+@pytest.mark.parametrize(
+    ("generation", "took", "frozen"), [(2, LONG_COLLECTION, True), (2, LONG_COLLECTION / 2, False), (1, 1.0, False)]
+)
+def test_what_a_long_collection_of_all_objects_leaves_is_exempt_from_later_ones(
+    generation: int, took: float, frozen: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    times = iter((0.0, took))
+    monkeypatch.setattr(time, "thread_time", lambda: next(times))
+    timer, before = TurnTimer(lambda turn: None), gc.get_freeze_count()
+    timer.collection("start", {"generation": generation})
+    timer.collection("stop", {"generation": generation})
+    try:
+        assert (gc.get_freeze_count() > before) == frozen
+    finally:
+        gc.unfreeze()
+        timer.close()
 
 
 def test_an_idle_loop_is_not_busy() -> None:
