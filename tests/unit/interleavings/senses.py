@@ -135,7 +135,7 @@ class HealthObserver:
         found = self._at(instance.ip)
         return found is not None and found.up
 
-    hears_nobody = False
+    hears_nobody, unheard, awaited = False, "", ()
 
     def others_discovered(self, instance: Instance) -> bool:
         """Always: the robot's reader."""

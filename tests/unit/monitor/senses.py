@@ -153,6 +153,12 @@ class GivenObserver(HealthObserver):
     hears_nobody = False
     """Whether it has received nothing from anybody."""
 
+    unheard = ""
+    """A failing topic of the robot of which it has received nothing."""
+
+    awaited: Sequence[str] = ()
+    """The topics of the robot of which it has received nothing."""
+
     def others_discovered(self, instance: Instance) -> bool:
         return not self.is_alone
 

@@ -146,7 +146,9 @@ def _gate(made: Plan, observed: Observed, spec: RobotWorkloadSpec, images: Image
         fenced = workload["metadata"]["generation"] if spec.pause is not None and spec.pause.is_fence else 0
         closed = kind.closed(name, reach, epoch=observed.reported_epoch, fenced=fenced)
         made.writes.append(Create(kind.resource, ownership.ours(closed, owner, workload)))
-    elif repair := kind.repair(gate, reach, owner=owner, labels=kube_objects.MANAGED_BY, epoch=observed.reported_epoch):
+        return
+    epoch, paused = observed.reported_epoch, spec.pause is not None
+    if repair := kind.repair(gate, reach, owner=owner, labels=kube_objects.MANAGED_BY, epoch=epoch, paused=paused):
         made.writes.append(Patch(kind.resource, gate, repair))
 
 

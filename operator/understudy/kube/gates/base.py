@@ -181,18 +181,27 @@ class GateKind(ABC):
     # -- The same for every kind ----------------------------------------------------------------------------------------
 
     def repair(
-        self, gate: Object, reach: Reach, *, owner: Object, labels: Mapping[str, str], epoch: int = 0
+        self,
+        gate: Object,
+        reach: Reach,
+        *,
+        owner: Object,
+        labels: Mapping[str, str],
+        epoch: int = 0,
+        paused: bool = False,
     ) -> Object | None:
         """Return a merge patch that restores a gate object; None if nothing differs.
 
-        Routing and record belong to the monitor. But a routing that no commit writes is restored from the record, because it may let any
-        pod of the namespace through. ``owner`` is the RobotWorkload. ``epoch`` is the last one that the monitor has reported: if somebody
-        lowered that of the gate, agents would refuse the monitor. The patch is valid for this version of the gate object only.
+        The record belongs to the monitor. A commit writes record and routing at once, so a routing that differs from the record is
+        somebody else's: it is restored, also while no monitor runs. While the workload is paused, a user may choose whom the gate lets
+        through, and only a routing that no commit writes is restored, because it may let any pod of the namespace through. ``owner`` is
+        the RobotWorkload. ``epoch`` is the last one that the monitor has reported: if somebody lowered that of the gate, agents would
+        refuse the monitor. The patch is valid for this version of the gate object only.
         """
         metadata, workload = gate["metadata"], owner["name"]
         patch = self.spec_repair(gate, workload, reach)
-        if self.malformed(gate, workload):
-            record = GateRecord.of(gate)
+        record = GateRecord.of(gate)
+        if not paused or self.malformed(gate, workload):
             patch = _merged(patch, self.routing_repair(gate, workload, record.active, record.admitted))
         fields: Object = {}
         present = metadata.get("labels") or {}
@@ -201,7 +210,7 @@ class GateKind(ABC):
         owners = metadata.get("ownerReferences") or []
         if owner not in owners:
             fields["ownerReferences"] = [*(one for one in owners if one.get("uid") != owner["uid"]), owner]
-        if epoch and GateRecord.of(gate).epoch < epoch:
+        if record.epoch < epoch:
             fields["annotations"] = {names.EPOCH: str(epoch)}
         return (patch | ({"metadata": fields} if fields else {})) or None
 

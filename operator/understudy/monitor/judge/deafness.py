@@ -120,14 +120,14 @@ class DeafnessWatch:
             return None
         text = (
             f"The agent of {active.name} reports healthy outputs, but DDS discovery has reported none of them to this monitor for "
-            f"{LOOKS * PERIOD:.0f} s, or the monitor has received nothing from anybody. The monitor ends, so that its container starts "
-            "again and joins the ROS graph as a new participant."
+            f"{LOOKS * PERIOD:.0f} s, or the monitor has received nothing from anybody, or nothing on a topic that the robot publishes. "
+            "The monitor ends, so that its container starts again and joins the ROS graph as a new participant."
         )
         self._notices.event("Warning", "MonitorDeaf", text)
         return Deaf(text)
 
     def _found(self, active: Instance | None) -> bool | None:
-        """Return whether an endpoint of the instance is discovered; None if that cannot be known, or if it may have none.
+        """Return whether an endpoint of the instance is discovered, and this monitor hears the robot; None if that cannot be known yet.
 
         Without the API server, another process could not start, so this one goes on.
         """
@@ -135,4 +135,7 @@ class DeafnessWatch:
             return None
         if not self._agents.is_ready(active)[0]:
             return None
-        return self._observer.discovered(active) and not self._observer.hears_nobody
+        found = self._observer.discovered(active)
+        if found and not self._observer.hears_nobody and not self._observer.unheard:
+            return None if self._observer.awaited else True
+        return None if found is None else False

@@ -135,10 +135,8 @@ class FailureDetector:
         ):
             self._doubt()
             verdict = self._observer.verdict(now=now, since=since)
-        if verdict.state == "Failed" and self._hears_nobody(active):
-            words = (
-                f"this monitor has received nothing from anybody, and the agent of {active.name} reports it as healthy"
-            )
+        if verdict.state == "Failed" and (unheard := self._unheard(active)):
+            words = f"this monitor has received nothing {unheard}, and the agent of {active.name} reports it as healthy"
             return Verdict("Starting", words, verdict.leaf, None)
         if verdict.state == "Starting":
             self._look_for(active, now, since)
@@ -188,17 +186,22 @@ class FailureDetector:
         status = self._agents.status(active)
         return status is not None and status.ready
 
-    def _hears_nobody(self, active: Instance) -> bool:
-        """Return whether this monitor never heard a healthy instance because discovery does not work for it: it has found nobody, not even
-        the robot, or nobody has found this monitor.
+    def _unheard(self, active: Instance) -> str:
+        """Return whom this monitor never heard because discovery does not work for it, in words; empty if it does, or if the instance is
+        not healthy by its agent.
 
-        The discovery server cannot be reached, or was replaced twice within seconds. This monitor would hear no other instance either, and
-        so verify none.
+        It has found nobody, not even the robot, or nobody has found this monitor: the discovery server cannot be reached, or was replaced
+        twice within seconds. This monitor would hear no other instance either, and so verify none. Or one process of the robot and this
+        monitor have not found each other: the agent receives its topic, and another instance would change nothing.
         """
-        if self._observer.last_from(active.name) is not None or not self._is_ready(active):
-            return False
+        if not self._is_ready(active):
+            return ""
+        if topic := self._observer.unheard:
+            return f"on {topic}"
+        if self._observer.last_from(active.name) is not None:
+            return ""
         found = self._observer.discovered(active) is not False or self._observer.others_discovered(active)
-        return not found or self._observer.hears_nobody
+        return "from anybody" if not found or self._observer.hears_nobody else ""
 
     def _doubt(self) -> None:
         """Look for the instance again, within the startup grace: its agent receives what this new monitor never did.

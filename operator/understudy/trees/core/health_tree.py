@@ -175,6 +175,11 @@ class HealthTree:
         return list(self._leaves)
 
     @property
+    def failing(self) -> set[str]:
+        """The topics by whose messages a leaf failed at the last evaluation."""
+        return {leaf.topic for leaf in self._leaves if leaf.uses_messages and leaf.status == Status.FAILURE}
+
+    @property
     def blind(self) -> list[str]:
         """Return in words why some judged leaves cannot judge."""
         return [leaf.blind for leaf in self._leaves if leaf.blind]

@@ -77,6 +77,17 @@ def test_a_monitor_that_receives_nothing_from_anybody_is_deaf_although_it_has_di
     assert len(watching.looks(1)) == 1
 
 
+def test_a_monitor_that_receives_nothing_on_a_topic_of_the_robot_that_the_agent_receives_is_deaf(
+    watching: Watching,
+) -> None:
+    watching.observer.undiscovered.clear()
+    watching.observer.awaited = ["/scan"]
+    assert watching.looks(3 * LOOKS) == [], "it may be published rarely"
+    watching.observer.unheard = "/scan"
+    assert watching.looks(LOOKS - 1) == []
+    assert len(watching.looks(1)) == 1
+
+
 def test_the_looks_at_an_instance_begin_again_when_its_agent_is_gone_for_a_moment(watching: Watching) -> None:
     watching.looks(LOOKS - 1)
     watching.senses.agents.unready = {"uid-1": "its agent is not connected: connection refused"}

@@ -266,6 +266,19 @@ def test_a_monitor_that_has_received_nothing_does_not_fail_an_instance_that_its_
     assert judging.verdict(ACTIVE, start + 120.2).state == "Failed", "it hears the robot and not the instance"
 
 
+def test_a_monitor_that_never_received_a_topic_of_the_robot_does_not_fail_an_instance_whose_agent_receives_it() -> None:
+    """Discovery has not reported one process of the robot to this monitor, which hears the instance."""
+    statuses = {"uid-1": AgentStatus("Running", ready_at=time.time() - 900, ready=True)}
+    judging, observing = judging_silence({"gap": "500ms"}, driven_epoch=None, statuses=statuses)
+    observing.unheard = "/scan"
+    observing.received_at["w-1"] = time.time()
+    start = judging.since
+    found = judging.verdict(ACTIVE, start + 120)
+    assert (found.state, "received nothing on /scan" in found.reason) == ("Starting", True)
+    statuses["uid-1"] = AgentStatus("Running", ready_at=time.time(), ready=False)
+    assert judging.verdict(ACTIVE, start + 120.2).state == "Failed", "its agent misses something too"
+
+
 def test_an_instance_whose_agent_reported_it_as_healthy_and_does_not_answer_any_more_is_judged_early() -> None:
     statuses = {"uid-1": AgentStatus("Running", ready_at=time.time() - 900, ready=True)}
     judging, _ = judging_silence({"gap": "500ms"}, driven_epoch=3, statuses=statuses)

@@ -178,6 +178,20 @@ def test_a_monitor_hears_nobody_until_a_message_of_anybody_arrives(observer: Hea
     until(observer, lambda: not observer.hears_nobody, each=lambda: said.publish(String()))
 
 
+def test_a_topic_of_the_robot_that_was_never_received_is_named_once_the_tree_fails_by_it(
+    observer: HealthObserver,
+) -> None:
+    trees = {"parallel": [{"topic": {"name": topic, "gap": "1s"}} for topic in ("/beat", "/said")]}
+    observer.follow(_policy(trees), parsed_spec(outputs=[{"topic": "/beat", "type": "std_msgs/msg/String"}]))
+    now = time.time()
+    observer.verdict(now=now, since=now)
+    assert observer.unheard == "", "it may still come"
+    assert observer.verdict(now=now + 60, since=now).state == "Failed"
+    assert observer.unheard == "/said", "the other one is the instance's"
+    said = publisher(observer, "/said", String)
+    until(observer, lambda: not observer.unheard, each=lambda: said.publish(String()))
+
+
 def test_whether_an_instance_is_discovered_is_unknown_without_an_ipv4_address_or_outputs(
     observer: HealthObserver,
 ) -> None:

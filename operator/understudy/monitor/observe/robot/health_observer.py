@@ -331,6 +331,20 @@ class HealthObserver:
         )
         return not watched <= outputs and not any(self._watching.records(topic) for topic in watched | outputs)
 
+    @property
+    def unheard(self) -> str:
+        """A topic of the robot that made the health tree fail at its last evaluation, and of which this monitor has never received a
+        message; empty if there is none."""
+        failing = self._tree.failing if self._tree is not None else ()
+        return next((topic for topic in self.awaited if topic in failing), "")
+
+    @property
+    def awaited(self) -> list[str]:
+        """The topics that the robot publishes, that are judged, and of which this monitor has never received a message."""
+        judged = self._tree.judged if self._tree is not None else []
+        robots = {topic.name for topic in judged if topic.subscribed}.difference(self.output_topics)
+        return sorted(topic for topic in robots if not self._watching.records(topic))
+
     def degraded_verdict(self, *, now: float, since: float) -> Verdict:
         """Return the verdict of the tree of ``spec.degraded`` on the active instance. Times are Unix seconds."""
         return self._degraded_trees.verdict(self._watching, now=now, since=since)
