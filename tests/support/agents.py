@@ -6,9 +6,23 @@ import asyncio
 import secrets
 
 from understudy.api.protocol import agent_messages as wire
+from understudy.api.protocol import monitor_key
 from understudy.api.protocol.agent_messages import AgentStatus, GateEpoch
+from understudy.api.protocol.secure_channel import AgentSecret, MonitorSecret
 from understudy.api.protocol.session_keys import legacy_proof
 from understudy.kube.agent_client import AgentLink
+
+PRIVATE_KEY, PUBLIC_KEY = monitor_key.pair("the monitor of the tests")
+
+
+def known_to_agent(token: bytes) -> AgentSecret:
+    """What an agent with a token knows."""
+    return AgentSecret(token, PUBLIC_KEY)
+
+
+def known_to_monitor(token: bytes) -> MonitorSecret:
+    """What the monitor with a token knows."""
+    return MonitorSecret(token, PRIVATE_KEY)
 
 
 async def status_of(link: AgentLink) -> AgentStatus:
@@ -20,15 +34,17 @@ async def status_of(link: AgentLink) -> AgentStatus:
 class IdleAgent:
     """What a control channel asks an agent whose instance does nothing, except for its operations."""
 
-    secret, uid = b"secret", "1"
+    token, uid = b"secret", "1"
+    proof = known_to_monitor(token)
+    """What a monitor needs to be accepted."""
 
     def __init__(self) -> None:
         self.version = 0
         self.epochs: list[GateEpoch] = []
         """Of the requests."""
 
-    def token(self) -> bytes:
-        return self.secret
+    def secret(self) -> AgentSecret:
+        return known_to_agent(self.token)
 
     def refuses(self, workload: str, claim: str) -> str | None:
         return None

@@ -35,6 +35,8 @@ class Peer:
     """Whether it is an executing standby, which receives all goals too."""
     protocol: int = PROTOCOL
     """Version of the agents' protocol that its agent knows at least."""
+    key: str = ""
+    """The private key of the monitor in hex, with which this side proves itself too; empty if there is none."""
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from understudy.action_proxy.client_goals import AttemptState
 from understudy.action_proxy.control_state import Peer
 from understudy.action_proxy.goal_ledger import Order
 from understudy.api.protocol.agent_messages import GateEpoch
+from understudy.api.protocol.secure_channel import MonitorSecret
 from understudy.kube.agent_client import AgentGone, AgentLink, AgentRefused
 
 _logger = logging.getLogger(__name__)
@@ -78,7 +79,7 @@ class InstanceLink:
         self._link = AgentLink(
             peer.ip,
             peer.port,
-            peer.token.encode(),
+            MonitorSecret(peer.token.encode(), bytes.fromhex(peer.key)),
             workload,
             peer.claim,
             uid=peer.uid,

@@ -307,5 +307,5 @@ class Proxy:
         task.add_done_callback(self._tasks.discard)
 
 
-def _address(peer: Peer) -> tuple[str, int, str, str]:
-    return peer.ip, peer.port, peer.token, peer.claim
+def _address(peer: Peer) -> tuple[str, int, str, str, str]:
+    return peer.ip, peer.port, peer.token, peer.key, peer.claim

@@ -26,6 +26,7 @@ from understudy.api import names
 from understudy.api.protocol import hold_script
 from understudy.api.protocol.agent_messages import BEGUN, AgentStatus, GateEpoch, Phase
 from understudy.api.protocol.kept_state import KeptState
+from understudy.api.protocol.secure_channel import AgentSecret
 from understudy.clock import CLOCK
 from understudy.kube.gates.probes import ProbeSender
 from understudy.ros.rmw import MIDDLEWARE
@@ -121,9 +122,9 @@ class Agent:
         """The UID of the pod."""
         return self._identity.uid
 
-    def token(self) -> bytes:
-        """Return the shared secret. Raises OSError."""
-        return self._identity.token()
+    def secret(self) -> AgentSecret:
+        """Return the token, and the monitor's key. Raises OSError."""
+        return self._identity.secret()
 
     def refuses(self, workload: str, claim: str) -> str | None:
         """Return why a monitor may not command this pod; None if it may."""

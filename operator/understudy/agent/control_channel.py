@@ -23,7 +23,7 @@ from understudy.api import names
 from understudy.api.protocol import agent_messages as wire
 from understudy.api.protocol import secure_channel
 from understudy.api.protocol.agent_messages import AgentStatus, GateEpoch, ProtocolError
-from understudy.api.protocol.secure_channel import AuthenticationFailed, Channel
+from understudy.api.protocol.secure_channel import AgentSecret, AuthenticationFailed, Channel
 from understudy.api.protocol.session_keys import NotAuthentic
 from understudy.process import connection_limits, source_queues
 from understudy.process.connection_limits import ConnectionLimits
@@ -77,8 +77,8 @@ class AgentInterface(Protocol):
     def uid(self) -> str:
         """The UID of the pod."""
 
-    def token(self) -> bytes:
-        """Return the shared secret. Raises OSError."""
+    def secret(self) -> AgentSecret:
+        """Return the token, and the monitor's key. Raises OSError."""
 
     def refuses(self, workload: str, claim: str) -> str | None:
         """Return why a monitor may not command this pod; None if it may."""
@@ -233,7 +233,7 @@ class ControlChannel:
 
     async def _let_in(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, host: str) -> _Session | None:
         try:
-            channel = await secure_channel.accept(reader, writer, uid=self._served.uid, token=self._served.token)
+            channel = await secure_channel.accept(reader, writer, uid=self._served.uid, secret=self._served.secret)
         except AuthenticationFailed as failed:
             self._note_refusal(host, failed.workload, failed.claim, str(failed))
             return None

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from understudy.api import names
+from understudy.api.protocol.secure_channel import AgentSecret
 
 
 @dataclass(frozen=True)
@@ -57,9 +59,12 @@ class PodIdentity:
             ip=environment.get("UNDERSTUDY_POD_IP", ""),
         )
 
-    def token(self) -> bytes:
-        """Return the secret shared with the monitor. It is read each time, since a Secret can change.
+    def secret(self) -> AgentSecret:
+        """Return what shows a monitor to be this pod's. It is read each time, since a Secret can change.
 
         Raises OSError.
         """
-        return self.token_file.read_bytes().strip()
+        key = b""
+        with contextlib.suppress(FileNotFoundError):  # of an older operator, or after a rollback to one
+            key = self.token_file.with_name(names.MONITOR_PUBLIC_KEY).read_bytes()
+        return AgentSecret(self.token_file.read_bytes().strip(), key)

@@ -160,6 +160,17 @@ MEMORY_DIR = "/var/lib/understudy-agent"
 MEMORY_VARIABLE = "UNDERSTUDY_MEMORY_DIR"
 """Environment variable of the agent with its path."""
 SECRET_DIR = "/etc/understudy/agent"
+TOKEN = "token"
+"""Entry of the agents' Secret, and file of an agent, with the token that it accepts."""
+
+MONITOR_PUBLIC_KEY = "monitor-public-key"
+"""Entry and file with the key that shows an agent who its monitor is."""
+
+MONITOR_PRIVATE_KEY = "monitor-private-key"
+"""Entry with the key of the monitor. No pod mounts it."""
+
+MONITOR_KEYS = f"{GROUP}/monitor-keys"
+"""Annotation of a Secret that has both keys. The operator keeps no copy of the entries."""
 
 INIT_CONTAINER = "understudy-init"
 """Init container that writes an instance's DDS profiles if they differ between pods."""

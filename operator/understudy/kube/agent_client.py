@@ -13,7 +13,7 @@ from typing import Any
 from understudy.api.protocol import agent_messages as wire
 from understudy.api.protocol import secure_channel
 from understudy.api.protocol.agent_messages import PROTOCOL, AgentStatus, GateEpoch, ProtocolError
-from understudy.api.protocol.secure_channel import AgentDeclined, Channel
+from understudy.api.protocol.secure_channel import AgentDeclined, Channel, MonitorSecret
 
 _logger = logging.getLogger(__name__)
 
@@ -47,7 +47,7 @@ class AgentLink:
         self,
         host: str,
         port: int,
-        token: bytes,
+        secret: MonitorSecret,
         workload: str,
         claim: str,
         *,
@@ -69,8 +69,8 @@ class AgentLink:
         self.host, self.port, self.workload, self.claim = host, port, workload, claim
         self.uid, self.pod, self._protocol = uid, pod, protocol
         self._epoch = epoch
-        self.token = token
-        """The secret shared with the agent. A change takes effect with the next session."""
+        self.secret = secret
+        """What proves this side to the agent. A change takes effect with the next session."""
         self._on_change, self._on_event = on_change, on_event
         self._status: AgentStatus | None = None
         self._writer: asyncio.StreamWriter | None = None
@@ -281,7 +281,7 @@ class AgentLink:
             reader,
             writer,
             uid=self.uid,
-            token=self.token,
+            secret=self.secret,
             workload=self.workload,
             claim=self.claim,
             oldest=self._protocol,

@@ -18,7 +18,7 @@ from prometheus_client import REGISTRY, generate_latest
 from understudy import __version__
 from understudy.api import names
 from understudy.api.kinds.robot_workload import MonitorStatus
-from understudy.api.protocol.agent_messages import PROTOCOL
+from understudy.api.protocol.agent_messages import KEYED_PROTOCOL
 from understudy.failover.journal import Journal
 from understudy.failover.progress import PodIdentity
 from understudy.kube.client import Client
@@ -126,7 +126,7 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         recorder = Recorder(client, "understudy-monitor", os.environ.get("HOSTNAME", "monitor"))
         writer = StatusWriter(client, view, recorder, notices)
         image = os.environ.get(names.MONITOR_IMAGE_VARIABLE, "")
-        notices.set_monitor(MonitorStatus(version=__version__, image=image, agent_protocol=PROTOCOL))
+        notices.set_monitor(MonitorStatus(version=__version__, image=image, agent_protocol=KEYED_PROTOCOL))
         address = os.environ.get("UNDERSTUDY_POD_IP", "127.0.0.1")
         cluster, current = Cluster(view, fleet, gate), CurrentRecovery()
         roles = InstanceRoles(view, gate, current)

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.support.agents import IdleAgent
+from tests.support.agents import PRIVATE_KEY, IdleAgent
 from understudy.action_proxy.client_goals import AttemptState
 from understudy.action_proxy.control_state import Peer as Instance
 from understudy.action_proxy.goal_ledger import Order
@@ -115,7 +115,8 @@ def recorder() -> LinkRecorder:
 async def link(agent: Agent, recorder: LinkRecorder) -> AsyncIterator[InstanceLink]:
     server = await agent.sessions.serve(0, host="127.0.0.1")
     port = server.sockets[0].getsockname()[1]
-    made = InstanceLink(Instance("1", "robot-1", "127.0.0.1", port, IdleAgent.secret.decode(), ""), "robot", recorder)
+    peer = Instance("1", "robot-1", "127.0.0.1", port, IdleAgent.token.decode(), "", key=PRIVATE_KEY.hex())
+    made = InstanceLink(peer, "robot", recorder)
     yield made
     await made.close()
     server.close()

@@ -20,6 +20,7 @@ from typing import Any
 
 import pytest
 
+from tests.support.agents import PRIVATE_KEY
 from tests.unit.action_proxy.conftest import ACTION, CANCELED, SUCCEEDED, TYPE, Process, eventually
 from tests.unit.agent.conftest import PACKAGE, TOKEN
 from tests.unit.agent.conftest import Pod as AgentPod
@@ -66,7 +67,9 @@ class Pod:
         self.inner.end()
 
     def peer(self, **more: Any) -> Peer:
-        return Peer(self.uid, self.name, "127.0.0.1", self.inner.port, TOKEN.decode(), "", **more)
+        return Peer(
+            self.uid, self.name, "127.0.0.1", self.inner.port, TOKEN.decode(), "", **{"key": PRIVATE_KEY.hex(), **more}
+        )
 
 
 class Monitor:

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.agents import PUBLIC_KEY, known_to_monitor
 from understudy.api import names
 from understudy.api.protocol import hold_script
 from understudy.kube.agent_client import AgentLink
@@ -43,6 +44,7 @@ class Pod:
         """The agent's own volume."""
         self.memory.mkdir()
         (folder / "token").write_bytes(TOKEN + b"\n")
+        (folder / names.MONITOR_PUBLIC_KEY).write_bytes(PUBLIC_KEY)
         self.port, self.health_port = free_port(), free_port()
         self.agent: subprocess.Popen[bytes] | None = None
         self.environment = {"UNDERSTUDY_HELD_CONTAINERS": "app"}
@@ -94,7 +96,14 @@ class Pod:
             self.kill(process)
 
     def link(self, workload: str = "robot", claim: str = "uid/1", token: bytes = TOKEN, **more) -> AgentLink:
-        return AgentLink("127.0.0.1", self.port, token, workload, claim, **{"uid": UID, "pod": "pool-abcde", **more})
+        return AgentLink(
+            "127.0.0.1",
+            self.port,
+            known_to_monitor(token),
+            workload,
+            claim,
+            **{"uid": UID, "pod": "pool-abcde", **more},
+        )
 
     async def page(self, path: str) -> tuple[int, str]:
         """Status and text of a page of the agent's; 0 while it doesn't answer."""

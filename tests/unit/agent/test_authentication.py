@@ -10,11 +10,13 @@ from typing import Any
 
 import pytest
 
-from tests.support.agents import IdleAgent, old_session
+from tests.support.agents import PUBLIC_KEY, IdleAgent, old_session
 from understudy.agent.control_channel import ControlChannel, Operation, Peer
 from understudy.api.protocol import agent_messages as wire
+from understudy.api.protocol import monitor_key
 from understudy.api.protocol.agent_messages import AgentStatus
-from understudy.api.protocol.session_keys import legacy_proof
+from understudy.api.protocol.secure_channel import AgentSecret, MonitorSecret
+from understudy.api.protocol.session_keys import derive, legacy_proof
 from understudy.kube.agent_client import AgentGone, AgentLink, AgentRefused
 
 STATUS = {"status": AgentStatus("Running", True).to_wire(), "number": 1}
@@ -97,7 +99,7 @@ async def link() -> AsyncIterator[Callable[..., AgentLink]]:
     links: list[AgentLink] = []
 
     def connect(port: int, uid: str = IdleAgent.uid, **more: Any) -> AgentLink:
-        links.append(AgentLink("127.0.0.1", port, IdleAgent.secret, "robot", "", uid=uid, **more))
+        links.append(AgentLink("127.0.0.1", port, IdleAgent.proof, "robot", "", uid=uid, **more))
         return links[-1]
 
     yield connect
@@ -123,7 +125,7 @@ async def test_a_proof_for_one_agent_is_of_no_use_at_another(agent: tuple[Agent,
 
 async def test_the_greeting_does_not_name_the_pod(agent: tuple[Agent, int]) -> None:
     reader, writer = await asyncio.open_connection("127.0.0.1", agent[1])
-    assert wire.decode(await reader.readline()).keys() == {"nonce", "version", "versions"}
+    assert wire.decode(await reader.readline()).keys() == {"nonce", "version", "versions", "key"}
     writer.close()
 
 
@@ -133,7 +135,8 @@ async def test_a_monitor_believes_nobody_who_does_not_know_the_token(serve: Any,
 
     async def pretend(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         nonce = "2:" + secrets.token_hex(16)
-        writer.write(wire.encode({"nonce": nonce, "version": 1, "versions": [1, 2], "uid": IdleAgent.uid}))
+        greeting = {"nonce": nonce, "version": 1, "versions": [1, 2, 3], "key": PUBLIC_KEY.hex(), "uid": IdleAgent.uid}
+        writer.write(wire.encode(greeting))
         answer = wire.decode(await reader.readline())
         if proof != "none":
             writer.write(wire.encode({"mac": answer["mac"] if proof == "reflected" else secrets.token_hex(32)}))
@@ -151,7 +154,8 @@ async def test_a_monitor_believes_nobody_who_does_not_know_the_token(serve: Any,
 
 async def test_a_refusal_from_a_stranger_is_not_taken_for_more_than_a_reason(serve: Any, link: Any) -> None:
     async def refuse(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        writer.write(wire.encode({"nonce": "2:n", "versions": [2]}) + wire.encode({"error": "x" * 3000}))
+        greeting = {"nonce": "2:n", "versions": [3], "key": PUBLIC_KEY.hex()}
+        writer.write(wire.encode(greeting) + wire.encode({"error": "x" * 3000}))
 
     stranger = link(await serve(refuse))
     await eventually(lambda: stranger.refused)
@@ -216,7 +220,7 @@ async def test_a_refusal_after_the_proofs_is_authentic(agent: tuple[Agent, int],
 
 
 async def old_agent(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-    await old_session(reader, writer, uid=IdleAgent.uid, token=IdleAgent.secret)
+    await old_session(reader, writer, uid=IdleAgent.uid, token=IdleAgent.token)
 
 
 async def test_an_old_agent_is_accepted_where_its_pod_says_that_it_is_old(serve: Any, link: Any) -> None:
@@ -266,12 +270,13 @@ async def test_who_answers_for_an_old_agent_gets_no_proof_for_a_new_one(
 
 
 async def test_a_monitor_of_an_earlier_version_commands_an_agent(agent: tuple[Agent, int]) -> None:
-    """During an upgrade, and after a rollback: the active instance keeps its agent."""
+    """After a rollback, once the operator of that version has written another Secret: the active instance keeps its agent."""
     served, port = agent
+    served.secret = lambda: AgentSecret(IdleAgent.token)  # type: ignore[method-assign]
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     greeting = wire.decode(await reader.readline())
     assert greeting["version"] == 1, "it accepts no other"
-    proof = legacy_proof(IdleAgent.secret, greeting["nonce"], "robot", "")
+    proof = legacy_proof(IdleAgent.token, greeting["nonce"], "robot", "")
     writer.write(wire.encode({"workload": "robot", "claim": "", "mac": proof}))
     assert "status" in wire.decode(await reader.readline())
     writer.write(wire.encode({"id": 1, "op": "go", "number": 1}))
@@ -280,7 +285,72 @@ async def test_a_monitor_of_an_earlier_version_commands_an_agent(agent: tuple[Ag
     writer.close()
 
 
-async def test_a_proof_of_version_2_is_none_of_version_1(agent: tuple[Agent, int], serve: Any, link: Any) -> None:
+def sibling(version: int, greeting: dict[str, Any]) -> dict[str, Any]:
+    """What whoever controls another agent with the same Secret answers to a greeting: it has all that the pod mounts."""
+    nonce, other = greeting["nonce"], secrets.token_hex(16)
+    if version == 1:
+        return {"workload": "robot", "claim": "", "mac": legacy_proof(IdleAgent.token, nonce, "robot", "")}
+    own, shared = monitor_key.AgentSide(PUBLIC_KEY), b""
+    if version == 3:
+        shared = own.shared
+    keys = derive(
+        IdleAgent.token,
+        uid=IdleAgent.uid,
+        agent_nonce=nonce,
+        monitor_nonce=other,
+        workload="robot",
+        claim="",
+        shared=shared,
+    )
+    return {"version": version, "nonce": other, "workload": "robot", "claim": "", "mac": keys.monitor_proof}
+
+
+@pytest.mark.parametrize("version", [1, 2, 3])
+async def test_whoever_controls_another_agent_with_the_same_token_commands_none(
+    agent: tuple[Agent, int], version: int
+) -> None:
+    served, port = agent
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    greeting = wire.decode(await reader.readline())
+    writer.write(wire.encode(sibling(version, greeting)))
+    answer = wire.decode(await reader.readline())
+    assert "authentication failed" in answer["error"] or "does not prove that it has its key" in answer["error"]
+    assert await reader.read() == b""
+    assert (served.channel.count, served.carried_out) == (0, [])
+    writer.close()
+
+
+async def test_an_agent_whose_secret_has_no_key_of_the_monitor_yet_is_commanded(
+    agent: tuple[Agent, int], link: Any
+) -> None:
+    """The operator writes it once the monitor reports that it knows such keys, and the kubelet copies it later still."""
+    served, port = agent
+    served.secret = lambda: AgentSecret(IdleAgent.token)  # type: ignore[method-assign]
+    before = link(port)
+    await before.wait_connected(20)
+    assert (await before.request("go", {"number": 1}))["ok"]
+    assert before.probe_key, "its lines and its test packets are authenticated by the token"
+
+
+async def test_a_monitor_without_a_key_reads_its_secret_again(agent: tuple[Agent, int], link: Any) -> None:
+    keyless = link(agent[1])
+    keyless.secret = MonitorSecret(IdleAgent.token)
+    await eventually(lambda: keyless.refused)
+    assert "it reads its Secret again" in keyless.problem
+    keyless.secret = IdleAgent.proof
+    await keyless.wait_connected(20)
+
+
+async def test_an_agent_with_an_invalid_key_of_the_monitor_says_how_to_replace_it(
+    agent: tuple[Agent, int], link: Any
+) -> None:
+    served, port = agent
+    served.secret = lambda: AgentSecret(IdleAgent.token, b"short")  # type: ignore[method-assign]
+    with pytest.raises(AgentGone, match="delete the Secret"):
+        await link(port).wait_connected(1.0)
+
+
+async def test_a_proof_of_a_later_version_is_none_of_version_1(agent: tuple[Agent, int], serve: Any, link: Any) -> None:
     """Somebody between a monitor and its agent makes a session without line authentication of it."""
     served, port = agent
 
@@ -293,7 +363,7 @@ async def test_a_proof_of_version_2_is_none_of_version_1(agent: tuple[Agent, int
         onwards.close()
 
     confused = link(await serve(downgrade))
-    with pytest.raises(AgentGone, match="different tokens"):
+    with pytest.raises(AgentGone, match="does not prove that it has its key"):
         await confused.wait_connected(1.0)
     assert served.channel.count == 0
     with pytest.raises((AgentGone, AgentRefused)):

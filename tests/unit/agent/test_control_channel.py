@@ -38,8 +38,8 @@ class Monitor:
     @classmethod
     async def of(cls, port: int) -> Monitor:
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
-        secret, uid = IdleAgent.secret, IdleAgent.uid
-        return cls(await connect(reader, writer, uid=uid, token=secret, workload="robot", claim=""))
+        secret, uid = IdleAgent.proof, IdleAgent.uid
+        return cls(await connect(reader, writer, uid=uid, secret=secret, workload="robot", claim=""))
 
     async def status(self) -> int:
         """The number of the next status."""
@@ -86,7 +86,7 @@ async def test_a_monitor_of_an_earlier_version_does_not_say_what_it_has_seen(age
 async def test_a_request_that_was_held_back_counts_as_one_that_was_lost(
     agent: Agent, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    link = AgentLink("127.0.0.1", agent.port, IdleAgent.secret, "robot", "", uid=IdleAgent.uid)
+    link = AgentLink("127.0.0.1", agent.port, IdleAgent.proof, "robot", "", uid=IdleAgent.uid)
     try:
         await link.wait_connected(5)
         await link.request("probe", {})

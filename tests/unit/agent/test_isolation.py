@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.agents import known_to_agent, known_to_monitor
 from tests.unit.agent.conftest import PACKAGE, Pod, eventually
 from understudy.agent import isolation
 from understudy.agent.control_channel import ControlChannel, Operation, Peer, Refused
@@ -24,6 +25,7 @@ from understudy.api import names
 from understudy.api.protocol import freeze_script as script
 from understudy.api.protocol import secure_channel
 from understudy.api.protocol.agent_messages import AgentStatus
+from understudy.api.protocol.secure_channel import AgentSecret
 
 COUNTING = """
 import sys, time
@@ -300,8 +302,8 @@ class Pretending:
 
     version, uid = 0, "uid"
 
-    def token(self) -> bytes:
-        return b"token"
+    def secret(self) -> AgentSecret:
+        return known_to_agent(b"token")
 
     def refuses(self, workload: str, claim: str) -> str | None:
         return None
@@ -321,7 +323,7 @@ async def test_a_session_shows_whether_sent_data_was_received_and_ends_at_once()
     server = await sessions.serve(0, host="127.0.0.1")
     reader, writer = await asyncio.open_connection(*server.sockets[0].getsockname(), limit=1024)
     assert not sessions.delivered(), "there is none"
-    await secure_channel.connect(reader, writer, uid="uid", token=b"token", workload="w", claim="")
+    await secure_channel.connect(reader, writer, uid="uid", secret=known_to_monitor(b"token"), workload="w", claim="")
     await eventually(lambda: sessions.count == 1 and sessions.delivered(), 25)
     # Who doesn't read doesn't take in what doesn't fit into the kernels' buffers.
     for _ in range(64):

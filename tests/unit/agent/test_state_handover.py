@@ -13,6 +13,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from tests.support.agents import known_to_monitor
 from tests.unit.agent.conftest import Pod
 from tests.unit.agent.localization import OUTPUTS, TREE, WITHIN, localize
 from tests.unit.agent.poses import pose
@@ -116,7 +117,7 @@ async def test_large_state_is_sent_in_several_requests(robot: Pod, links: list[A
 
 
 async def test_a_missing_agent_is_reported_in_bounded_time(tmp_path: Any) -> None:
-    link = AgentLink("127.0.0.1", 1, b"token", "robot", "", uid="uid-1")
+    link = AgentLink("127.0.0.1", 1, known_to_monitor(b"token"), "robot", "", uid="uid-1")
     monitor = sidecars(link, tmp_path)
     started_at = time.monotonic()
     report = await monitor.restore(INSTANCE, KeptState((pose(),)), 0.5)

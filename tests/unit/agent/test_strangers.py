@@ -62,7 +62,7 @@ async def assert_let_in(connection: Connection) -> None:
     reader, writer = connection
     async with asyncio.timeout(5):
         channel = await secure_channel.connect(
-            reader, writer, uid=IdleAgent.uid, token=IdleAgent.secret, workload="w", claim=""
+            reader, writer, uid=IdleAgent.uid, secret=IdleAgent.proof, workload="w", claim=""
         )
         assert "status" in await channel.read()
     writer.close()
@@ -87,7 +87,7 @@ async def test_a_flood_from_several_pods_does_not_keep_the_monitor_out(port: int
 
 async def test_a_monitor_connects_during_a_flood(port: int, strangers: Strangers) -> None:
     flood = asyncio.create_task(strangers.connect("127.0.0.2", 10_000))
-    link = AgentLink("127.0.0.1", port, IdleAgent.secret, "w", "", uid=IdleAgent.uid)
+    link = AgentLink("127.0.0.1", port, IdleAgent.proof, "w", "", uid=IdleAgent.uid)
     try:
         await asyncio.sleep(0.2)
         await link.wait_connected(5)
@@ -99,7 +99,7 @@ async def test_a_monitor_connects_during_a_flood(port: int, strangers: Strangers
 
 async def test_sessions_of_monitors_do_not_count_as_pending(port: int, strangers: Strangers) -> None:
     """A monitor may share its address with strangers, behind a network that translates addresses."""
-    link = AgentLink("127.0.0.1", port, IdleAgent.secret, "w", "", uid=IdleAgent.uid)
+    link = AgentLink("127.0.0.1", port, IdleAgent.proof, "w", "", uid=IdleAgent.uid)
     try:
         await link.wait_connected(5)
         await strangers.connect("127.0.0.1", 100)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.unit.controller.pools import observe, plan
-from tests.unit.controller.world import IMAGES, World, created, hot, policy, spare, workload
+from tests.unit.controller.world import IMAGES, World, created, hot, patched, policy, spare, workload
 from understudy.api import names
 from understudy.controller.pods.instance_pod import agent_protocol
 from understudy.kube.client import Object
@@ -65,3 +65,46 @@ def test_the_pods_of_an_older_image_say_nothing() -> None:
     assert stated(created(World(reporting(IMAGES.monitor, 2), policy("hot"), hot()).plan(), "pods")) == {"2"}
     pool = observe(spare(replicas=1), workloads=[reporting(IMAGES.monitor)])
     assert stated(created(plan(pool), "pods")) == {None}
+
+
+KEYS = {names.MONITOR_PRIVATE_KEY, names.MONITOR_PUBLIC_KEY}
+
+
+def secrets(world: World) -> tuple[list[Object], dict[str, Object]]:
+    """The agents' Secrets that the operator creates, and its changes of existing ones."""
+    made = world.plan()
+    return created(made, "secrets"), patched(made, "secrets")
+
+
+@pytest.mark.parametrize(
+    ("item", "keyed"),
+    [
+        (workload(), True),
+        (reporting(IMAGES.monitor, 3), True),
+        (reporting(IMAGES.monitor, 2), False),
+        ({**workload(), "status": {"health": "Healthy", "monitor": {"image": "a", "agentProtocol": 3}}}, True),
+        ({**workload(), "status": {"health": "Healthy", "monitor": {"image": "a", "agentProtocol": 2}}}, False),
+        ({**workload(), "status": {"health": "Healthy", "monitor": {"image": "a"}}}, False),
+        ({**workload(), "status": {"health": "Healthy"}}, False),
+    ],
+)
+def test_agents_get_a_key_of_their_monitor_as_soon_as_it_knows_such_keys(item: Object, keyed: bool) -> None:
+    """One of an earlier version could not command them otherwise: monitors are replaced in steps."""
+    [secret], _ = secrets(World(item, policy("hot"), hot()))
+    assert set(secret["data"]) == {names.TOKEN, *(KEYS if keyed else ())}
+    live = {**secret, "metadata": {**secret["metadata"], "uid": "u", "resourceVersion": "4", "namespace": "fleet"}}
+    for other in (item, {**workload(), "status": {"health": "Healthy", "monitor": {"agentProtocol": 3}}}):
+        world = World(other, policy("hot"), hot())
+        world.owned["secrets", "w-agent"] = live
+        _, changes = secrets(world)
+        assert set(changes.get("w-agent", {}).get("data", {})) == (KEYS if other is not item and not keyed else set())
+
+
+def test_no_pod_mounts_the_private_key_of_the_monitor() -> None:
+    pods = created(World(workload(), policy("hot"), hot()).plan(), "pods") + created(
+        plan(observe(spare(replicas=1))), "pods"
+    )
+    for pod in pods:
+        [volume] = [one["secret"] for one in pod["spec"]["volumes"] if one["name"] == names.TOKEN_VOLUME]
+        assert [item["key"] for item in volume["items"]] == [names.TOKEN, names.MONITOR_PUBLIC_KEY]
+    assert len(pods) == 2

@@ -26,6 +26,7 @@ from tests.unit.controller.world import (
 from understudy.api import names
 from understudy.controller.desired import workload_objects
 from understudy.controller.observed import kube_objects
+from understudy.controller.plan import Apply
 from understudy.kube.client import Object
 
 
@@ -326,7 +327,8 @@ def test_the_right_to_read_all_policies_is_granted_before_the_monitor_image_chan
     _says(world, IMAGES.monitor)
     world.build()
     world.workload["spec"]["monitor"] = {"image": "mine/monitor:old"}
-    order = [w.resource.plural for w in world.plan().writes if kube_objects.name(w.body) == "w-monitor"]  # type: ignore[union-attr]
+    applies = [w for w in world.plan().writes if isinstance(w, Apply)]
+    order = [w.resource.plural for w in applies if kube_objects.name(w.body) == "w-monitor"]
     assert order.index("roles") < order.index("deployments")
     assert _only(world, "failurepolicies", "watch") == [None], "it will be of another image, of whatever version"
     world.build()

@@ -273,8 +273,11 @@ class SimulatedClient(Client):
         while True:
             while at == len(history) and (self._process, plural) not in network.half_open:
                 await network.wait(plural)
-            if (given_up := network.half_open.pop((self._process, plural), None)) is not None:
-                await asyncio.sleep(given_up - network.loop.time())
+            if (given_up := network.half_open.get((self._process, plural))) is not None:
+                try:
+                    await asyncio.sleep(given_up - network.loop.time())
+                finally:  # also if the client gives it up earlier
+                    network.half_open.pop((self._process, plural), None)
                 raise aiohttp.ClientOSError("timed out")
             last, lag = len(history), network.choices.random() < network.weather.lag
             await asyncio.sleep(network.delay() if not lag else network.choices.random() * 6)

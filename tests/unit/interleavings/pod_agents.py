@@ -16,8 +16,10 @@ from understudy.agent.agent_memory import AgentMemory
 from understudy.agent.control_channel import ControlChannel, Operation, Peer, Refused
 from understudy.agent.readiness import StandbyExpectation, StandbyReadiness
 from understudy.agent.restoration.procedure_runner import InstanceActions, ProcedureRunner
+from understudy.api import names
 from understudy.api.protocol.agent_messages import BEGUN, AgentStatus, GateEpoch
 from understudy.api.protocol.kept_state import KeptState, RestoreReport
+from understudy.api.protocol.secure_channel import AgentSecret
 
 if TYPE_CHECKING:
     from tests.unit.interleavings.robots import Robots
@@ -90,13 +92,14 @@ class PodAgent:
     def uid(self) -> str:
         return self._found.uid
 
-    def token(self) -> bytes:
+    def secret(self) -> AgentSecret:
         """As the kubelet has mounted it."""
         namespace = self._found.place[0]
         secret = self._robots.server.get("secrets", (namespace, self._found.secret))
         if secret is None:
             raise FileNotFoundError(2, "no such secret")
-        return base64.b64decode(secret["data"]["token"])
+        token, key = (secret["data"].get(entry, "") for entry in (names.TOKEN, names.MONITOR_PUBLIC_KEY))
+        return AgentSecret(base64.b64decode(token), base64.b64decode(key))
 
     def refuses(self, workload: str, claim: str) -> str | None:
         return self.memory.refuses(self._found.name, self._found.owner, workload, claim)

@@ -215,7 +215,7 @@ def test_the_simulation_detects_a_secret_that_its_pool_owns() -> None:
     def keep(pool: str, namespace: str, live: Object | None, token: Any) -> list[Any]:
         if live is not None and controller_of(live) is None:  # as the cluster has it from the start
             return [claim_tokens.Patch(claim_tokens.SECRETS, live, {"metadata": owned(live, namespace)["metadata"]})]
-        made = ownership.token(names.pool_secret(pool), token())
+        made = ownership.agent_secret(names.pool_secret(pool), token)
         return [] if live is not None else [Create(claim_tokens.SECRETS, owned(made, namespace))]
 
     with mock.patch.object(claim_tokens, "keep", keep):

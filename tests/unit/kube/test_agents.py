@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from tests.support.agents import status_of
+from tests.support.agents import known_to_agent, known_to_monitor, status_of
 from understudy.api.protocol import agent_messages as wire
 from understudy.api.protocol.agent_messages import AgentStatus, OutputCount, ProtocolError
 from understudy.api.protocol.secure_channel import accept
@@ -44,7 +44,7 @@ class Agent:
             if self.greeting is not None:
                 writer.write(wire.encode(self.greeting))
                 return
-            channel = await accept(reader, writer, uid="u", token=lambda: TOKEN)
+            channel = await accept(reader, writer, uid="u", secret=lambda: known_to_agent(TOKEN))
             await self.follow(channel, writer)
 
 
@@ -78,7 +78,7 @@ async def link(agent, changes):
     made = AgentLink(
         "127.0.0.1",
         agent.port,
-        TOKEN,
+        known_to_monitor(TOKEN),
         "robot",
         "uid/1",
         uid="u",
@@ -130,7 +130,7 @@ async def test_the_link_connects_and_receives_the_status(link):
 async def test_the_link_connects_as_soon_as_an_agent_listens(agent):
     await agent.close()
     await agent.server.wait_closed()
-    link = AgentLink("127.0.0.1", agent.port, TOKEN, "robot", "", uid="u")
+    link = AgentLink("127.0.0.1", agent.port, known_to_monitor(TOKEN), "robot", "", uid="u")
     with pytest.raises(AgentGone, match="Connection refused"):
         await link.wait_connected(0.3)
     await agent.serve(agent.port)
@@ -291,7 +291,7 @@ async def test_a_listener_that_fails_does_not_end_the_link(agent):
     def fail(link):
         raise RuntimeError("listener")
 
-    link = AgentLink("127.0.0.1", agent.port, TOKEN, "robot", "", uid="u", on_change=fail)
+    link = AgentLink("127.0.0.1", agent.port, known_to_monitor(TOKEN), "robot", "", uid="u", on_change=fail)
     await link.wait_connected(2)
     await asyncio.sleep(0.7)
     assert link.connected

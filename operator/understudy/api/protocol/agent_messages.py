@@ -23,8 +23,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+KEYED_PROTOCOL = 3
+"""Newest version of the protocol: the agent recognizes the monitor by its key."""
+
 PROTOCOL = 2
-"""Newest version of the protocol."""
+"""The version that every agent of this release knows: both sides prove the token, and each message is authenticated by it."""
 
 OLDEST_PROTOCOL = 1
 """Oldest version of the protocol: that of Understudy before version 0.3."""

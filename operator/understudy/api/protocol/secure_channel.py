@@ -1,9 +1,13 @@
 """The beginning of a session between a monitor and an agent, and the authenticated lines after it. Both ends use this module.
 
-The agent speaks first: ``{"nonce", "version": 1, "versions": [1, 2]}``. The monitor answers ``{"version": 2, "nonce", "workload",
-"claim", "mac"}``. If the MAC is right, the agent answers ``{"mac"}``, and the monitor believes nothing before it has verified that. From
-then on each line is authenticated (session_keys.py). The agent does not send its pod's UID: the monitor knows it from the API server, and
-the MACs include it. So what one agent sends is of no use at another one.
+The agent speaks first: ``{"nonce", "key", "version": 1, "versions": [1, 2, 3]}``. The monitor answers ``{"version": 3, "nonce",
+"workload", "claim", "mac"}``. If the MAC is right, the agent answers ``{"mac"}``, and the monitor believes nothing before it has verified
+that. From then on each line is authenticated (session_keys.py). The agent does not send its pod's UID: the monitor knows it from the API
+server, and the MACs include it. So what one agent sends is of no use at another one.
+
+Version 2 has no keys, so whoever knows the token passes for the monitor. An agent speaks it only as long as its Secret has no key of the
+monitor. The operator writes one as soon as the monitor reports version 3, and the agent reads it once the kubelet has copied it. The
+monitor accepts version 2, since who answers proves the token in both versions, and nothing more.
 
 Version 1 has only the MAC of the monitor, without the UID, and plain lines. The monitor speaks it only with pods of which the Kubernetes
 API says that their agent is that old. An agent accepts it from the monitors of an earlier version, during an upgrade and after a rollback.
@@ -17,11 +21,12 @@ import asyncio
 import re
 import secrets
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 from understudy.api.protocol import agent_messages as wire
-from understudy.api.protocol import session_keys
-from understudy.api.protocol.agent_messages import OLDEST_PROTOCOL, PROTOCOL, ProtocolError
+from understudy.api.protocol import monitor_key, session_keys
+from understudy.api.protocol.agent_messages import KEYED_PROTOCOL, OLDEST_PROTOCOL, PROTOCOL, ProtocolError
 from understudy.api.protocol.session_keys import LineAuthentication, NotAuthentic, SessionKeys
 
 BUFFER = 1 << 16
@@ -42,6 +47,24 @@ class AuthenticationFailed(ProtocolError):
     def __init__(self, workload: str, claim: str, reason: str) -> None:
         super().__init__(reason)
         self.workload, self.claim = workload, claim
+
+
+@dataclass(frozen=True)
+class AgentSecret:
+    """What an agent knows of its monitor."""
+
+    token: bytes = field(repr=False)
+    monitor_key: bytes = b""
+    """The public key of the monitor; empty if the Secret has none."""
+
+
+@dataclass(frozen=True)
+class MonitorSecret:
+    """What a monitor proves itself with to agents."""
+
+    token: bytes = field(repr=False)
+    key: bytes = field(default=b"", repr=False)
+    """Its private key; empty if the Secret has none."""
 
 
 class AgentDeclined(Exception):
@@ -84,14 +107,32 @@ class Channel:
 
 
 async def accept(
-    reader: asyncio.StreamReader, writer: asyncio.StreamWriter, *, uid: str, token: Callable[[], bytes]
+    reader: asyncio.StreamReader, writer: asyncio.StreamWriter, *, uid: str, secret: Callable[[], AgentSecret]
 ) -> Channel:
-    """Begin a session as the agent of the pod with this UID. ``token`` returns the secret and may raise OSError.
+    """Begin a session as the agent of the pod with this UID. ``secret`` may raise OSError.
 
     Raises AuthenticationFailed, EOFError and ProtocolError.
     """
     nonce = _NONCE + secrets.token_hex(16)
-    writer.write(wire.encode({"nonce": nonce, "version": OLDEST_PROTOCOL, "versions": [OLDEST_PROTOCOL, PROTOCOL]}))
+    own: monitor_key.AgentSide | None = None
+    known, problem = AgentSecret(b""), ""
+    try:
+        known = secret()
+        own = monitor_key.AgentSide(known.monitor_key) if known.monitor_key else None
+    except OSError as error:
+        problem = f"the agent cannot read its token: {error.strerror}"
+    except ValueError:
+        problem = (
+            "the key of the monitor in the Secret is invalid: delete the Secret, and the operator creates another one"
+        )
+    greeting: dict[str, Any] = {
+        "nonce": nonce,
+        "version": OLDEST_PROTOCOL,
+        "versions": [OLDEST_PROTOCOL, PROTOCOL],
+    }
+    if own is not None:
+        greeting |= {"versions": [*greeting["versions"], KEYED_PROTOCOL], "key": own.public.hex()}
+    writer.write(wire.encode(greeting))
     answer = await _read_greeting(reader)
     workload, claim, other = (str(answer.get(name, "")) for name in ("workload", "claim", "nonce"))
 
@@ -100,18 +141,27 @@ async def accept(
         await writer.drain()
         return AuthenticationFailed(workload, claim, reason)
 
-    try:
-        secret = token()
-    except OSError as error:
-        raise await refuse(f"the agent cannot read its token: {error.strerror}") from error
-    if not secret:
-        raise await refuse("the agent's token is empty")
-    proof = str(answer.get("mac", ""))
-    if answer.get("version") != PROTOCOL:
-        if not session_keys.equal(session_keys.legacy_proof(secret, nonce, workload, claim), proof):
+    if problem or not known.token:
+        raise await refuse(problem or "the agent's token is empty")
+    proof, version = str(answer.get("mac", "")), answer.get("version", OLDEST_PROTOCOL)
+    if own is not None and version != KEYED_PROTOCOL:
+        raise await refuse(
+            "the monitor does not prove that it has its key: it is older than version 0.3, or is no monitor. After a rollback, see "
+            "docs/how-to/production.md"
+        )
+    if version not in (PROTOCOL, KEYED_PROTOCOL):
+        if not session_keys.equal(session_keys.legacy_proof(known.token, nonce, workload, claim), proof):
             raise await refuse("authentication failed: the monitor and the agent have different tokens")
         return Channel(reader, writer, workload, claim)
-    keys = session_keys.derive(secret, uid=uid, agent_nonce=nonce, monitor_nonce=other, workload=workload, claim=claim)
+    keys = session_keys.derive(
+        known.token,
+        uid=uid,
+        agent_nonce=nonce,
+        monitor_nonce=other,
+        workload=workload,
+        claim=claim,
+        shared=own.shared if own is not None else b"",
+    )
     if not session_keys.equal(keys.monitor_proof, proof):
         raise await refuse(
             "authentication failed: the monitor and the agent have different tokens, or the monitor means another pod. The agent reads "
@@ -126,7 +176,7 @@ async def connect(
     writer: asyncio.StreamWriter,
     *,
     uid: str,
-    token: bytes,
+    secret: MonitorSecret,
     workload: str,
     claim: str,
     oldest: int = PROTOCOL,
@@ -140,8 +190,18 @@ async def connect(
     nonce, versions = greeting.get("nonce"), greeting.get("versions", [greeting.get("version")])
     if not isinstance(nonce, str) or not isinstance(versions, list):
         raise ProtocolError(f"not the greeting of an agent: {greeting!r:.200}")
+    if KEYED_PROTOCOL in versions:
+        if not secret.key:
+            raise AgentDeclined(
+                "the agent knows a key of the monitor, and the monitor does not: it reads its Secret again"
+            )
+        try:
+            shared = monitor_key.shared(secret.key, bytes.fromhex(str(greeting.get("key"))))
+        except ValueError as error:
+            raise ProtocolError(f"the key of the agent is invalid: {error}") from error
+        return await _connect(reader, writer, uid, secret.token, workload, claim, nonce, shared)
     if PROTOCOL in versions:
-        return await _connect(reader, writer, uid, token, workload, claim, nonce)
+        return await _connect(reader, writer, uid, secret.token, workload, claim, nonce)
     if oldest >= PROTOCOL or OLDEST_PROTOCOL not in versions:
         raise ProtocolError(
             f"the agent greets with protocol version {greeting.get('version')!r:.20}, but its pod's spec names version {oldest}. If the "
@@ -151,7 +211,7 @@ async def connect(
         raise NotAuthentic("somebody relays the greeting of another agent")
     if greeting.get("uid", uid) != uid:
         raise ProtocolError("the agent of another pod answers at this address")
-    proof = session_keys.legacy_proof(token, nonce, workload, claim)
+    proof = session_keys.legacy_proof(secret.token, nonce, workload, claim)
     writer.write(wire.encode({"workload": workload, "claim": claim, "mac": proof}))
     return Channel(reader, writer, workload, claim)
 
@@ -164,11 +224,14 @@ async def _connect(
     workload: str,
     claim: str,
     nonce: str,
+    shared: bytes = b"",
 ) -> Channel:
-    own = secrets.token_hex(16)
-    keys = session_keys.derive(token, uid=uid, agent_nonce=nonce, monitor_nonce=own, workload=workload, claim=claim)
+    own, version = secrets.token_hex(16), KEYED_PROTOCOL if shared else PROTOCOL
+    keys = session_keys.derive(
+        token, uid=uid, agent_nonce=nonce, monitor_nonce=own, workload=workload, claim=claim, shared=shared
+    )
     proof = keys.monitor_proof
-    writer.write(wire.encode({"version": PROTOCOL, "nonce": own, "workload": workload, "claim": claim, "mac": proof}))
+    writer.write(wire.encode({"version": version, "nonce": own, "workload": workload, "claim": claim, "mac": proof}))
     answer = await _read_greeting(reader)
     if "error" in answer:
         raise AgentDeclined(str(answer["error"])[:LONGEST_REASON])

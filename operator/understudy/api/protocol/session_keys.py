@@ -1,8 +1,9 @@
 """The keys of one session between a monitor and an agent, and the authentication codes that are made with them. Pure.
 
-The token that both sides share is never used itself. HKDF (RFC 5869) with SHA-256 derives each key from the token, the UID of the
-agent's pod, a nonce of each side, the workload and the claim, so nothing of a session is valid in another one or for another pod. Each
-use and each direction has its own key. Nothing is encrypted.
+The token that both sides share is never used itself. HKDF (RFC 5869) with SHA-256 derives each key from the token, the secret that the
+monitor's key and the agent's key of the session give (monitor_key.py), the UID of the agent's pod, a nonce of each side, the workload and
+the claim, so nothing of a session is valid in another one or for another pod. Each use and each direction has its own key. Nothing is
+encrypted.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from dataclasses import dataclass, field
 
 from understudy.api.protocol.agent_messages import ProtocolError
 
-_SALT = b"understudy agent session, version 2"
+_SALT, _SALT_OF_TOKEN = b"understudy agent session, version 3", b"understudy agent session, version 2"
 
 TAG = 16
 """Bytes of a message authentication code (MAC): HMAC-SHA256, truncated."""
@@ -39,11 +40,21 @@ class SessionKeys:
     """Authenticates the gate probes of the pod."""
 
 
-def derive(token: bytes, *, uid: str, agent_nonce: str, monitor_nonce: str, workload: str, claim: str) -> SessionKeys:
-    """Return the keys of a session with the agent of the pod with this UID."""
+def derive(
+    token: bytes,
+    *,
+    uid: str,
+    agent_nonce: str,
+    monitor_nonce: str,
+    workload: str,
+    claim: str,
+    shared: bytes = b"",
+) -> SessionKeys:
+    """Return the keys of a session with the agent of the pod with this UID. ``shared`` is empty in version 2."""
+    salt, secret = (_SALT, _field(token) + shared) if shared else (_SALT_OF_TOKEN, token)
 
     def key(use: str) -> bytes:
-        return expanded(_SALT, token, use, uid, agent_nonce, monitor_nonce, workload, claim)
+        return expanded(salt, secret, use, uid, agent_nonce, monitor_nonce, workload, claim)
 
     return SessionKeys(
         monitor_proof=key("proof of the monitor").hex(),
@@ -60,9 +71,9 @@ def expanded(salt: bytes, token: bytes, use: str, *context: str) -> bytes:
     return hmac.digest(secret, b"".join(map(_field, (use, *context))) + b"\x01", "sha256")
 
 
-def _field(text: str) -> bytes:
+def _field(text: str | bytes) -> bytes:
     """Return a text with its length, so that two different sequences of texts never have the same bytes."""
-    data = text.encode("utf-8", "surrogatepass")
+    data = text if isinstance(text, bytes) else text.encode("utf-8", "surrogatepass")
     return len(data).to_bytes(4, "big") + data
 
 

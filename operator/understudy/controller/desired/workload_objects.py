@@ -78,13 +78,20 @@ def plan(observed: Observed, workload_plan: WorkloadPlan, images: Images, fresh:
     for pool in sorted(workload_plan.builts):
         if pool:
             standby_pods.keep(made, observed, workload_plan, pool, fresh)
-    if ("secrets", names.agent_secret(kube_objects.name(workload))) not in observed.owned:
-        secret = ownership.token(names.agent_secret(kube_objects.name(workload)), fresh.token())
-        owner = kube_objects.owner("RobotWorkload", workload)
-        made.writes.insert(0, Create(SECRETS, ownership.ours(secret, owner, workload)))
+    made.writes[:0] = _agent_secret(observed, fresh)
     _sweep(made, observed)
     standby_pods.sweep(made, observed)
     return made
+
+
+def _agent_secret(observed: Observed, fresh: UniqueValues) -> list[Write]:
+    workload, keyed = observed.workload, instance_pod.knows_keys([observed.workload])
+    name = names.agent_secret(kube_objects.name(workload))
+    if (live := observed.owned.get(("secrets", name))) is None:
+        secret = ownership.agent_secret(name, fresh.token, keyed=keyed)
+        return [Create(SECRETS, ownership.ours(secret, kube_objects.owner("RobotWorkload", workload), workload))]
+    patch = ownership.corrected_keys(live, fresh.token, keyed=keyed)
+    return [Patch(SECRETS, live, patch)] if patch is not None else []
 
 
 def labels(observed: Observed, workload_plan: WorkloadPlan) -> list[Write]:

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Callable
 
+from understudy.api import names
 from understudy.api.base import API_VERSION
+from understudy.api.protocol import monitor_key
 from understudy.controller.observed import kube_objects
 from understudy.kube import apply
 from understudy.kube.client import Object
@@ -34,12 +37,26 @@ def is_understudys(item: Object) -> bool:
     return owner is not None and owner.get("apiVersion") == API_VERSION
 
 
-def token(name: str, value: str) -> Object:
-    """Return a Secret with the agents' token."""
-    return {
-        "apiVersion": "v1",
-        "kind": "Secret",
-        "metadata": {"name": name},
-        "type": "Opaque",
-        "data": {"token": base64.b64encode(value.encode()).decode()},
-    }
+def agent_secret(name: str, random: Callable[[], str], *, keyed: bool) -> Object:
+    """Return a Secret with a token for agents, and with the keys of their monitor if ``keyed``."""
+    made: Object = {"apiVersion": "v1", "kind": "Secret", "metadata": {"name": name}, "type": "Opaque"}
+    keys = _monitor_keys(random()) if keyed else {"metadata": {}, "data": {}}
+    data = {names.TOKEN: base64.b64encode(random().encode()).decode(), **keys["data"]}
+    return made | {"metadata": made["metadata"] | keys["metadata"], "data": data}
+
+
+def corrected_keys(secret: Object, random: Callable[[], str], *, keyed: bool) -> Object | None:
+    """Return the merge patch that gives the keys of the monitor to an agents' Secret, or removes them; None if nothing differs."""
+    if keyed == (names.MONITOR_KEYS in (secret["metadata"].get("annotations") or {})):
+        return None
+    if keyed:
+        return _monitor_keys(random())
+    without = dict.fromkeys((names.MONITOR_PRIVATE_KEY, names.MONITOR_PUBLIC_KEY))
+    return {"metadata": {"annotations": {names.MONITOR_KEYS: None}}, "data": without}
+
+
+def _monitor_keys(seed: str) -> Object:
+    private, public = monitor_key.pair(seed)
+    data = {names.MONITOR_PRIVATE_KEY: private, names.MONITOR_PUBLIC_KEY: public}
+    encoded = {entry: base64.b64encode(value).decode() for entry, value in data.items()}
+    return {"metadata": {"annotations": {names.MONITOR_KEYS: "X25519"}}, "data": encoded}

@@ -19,6 +19,7 @@ from understudy.api import names
 from understudy.api.base import API_VERSION
 from understudy.controller.observed import kube_objects, ownership
 from understudy.controller.plan import Create, Delete, Patch, Write
+from understudy.controller.pods import instance_pod
 from understudy.kube import claims
 from understudy.kube.apply import controller_of
 from understudy.kube.client import SECRETS, Object
@@ -33,11 +34,18 @@ def is_of(pool: str, secret: Object) -> bool:
     return kube_objects.labels(secret).get(names.POOL) == pool if owner is None else _is_pool(owner, pool)
 
 
-def keep(pool: str, namespace: str, live: Object | None, token: Callable[[], str]) -> list[Write]:
-    """Return the writes for a Secret without an owner. An existing one keeps its token."""
+def keep(
+    pool: str, namespace: str, live: Object | None, token: Callable[[], str], *, keyed: bool = True
+) -> list[Write]:
+    """Return the writes for a Secret without an owner. An existing one keeps its token. ``keyed`` is whether it has the monitors' keys."""
     if live is None or not is_of(pool, live):
-        return [Create(SECRETS, ownership.nobodys(_secret(pool, token()), namespace))]
-    return release(pool, live)
+        secret = ownership.agent_secret(names.pool_secret(pool), token, keyed=keyed)
+        secret["metadata"]["labels"] = {names.POOL: pool}
+        return [Create(SECRETS, ownership.nobodys(secret, namespace))]
+    if released := release(pool, live):
+        return released  # and next time, the keys
+    patch = ownership.corrected_keys(live, token, keyed=keyed)
+    return [Patch(SECRETS, live, patch)] if patch is not None else []
 
 
 def release(pool: str, live: Object | None) -> list[Write]:
@@ -65,7 +73,7 @@ def outlast(
     """
     needing = [pod for pod in pods if claimable(pod) or _is_commanded(pod, workloads)]
     if any(_is_claimed(pod) for pod in needing):
-        return keep(pool, namespace, live, token)
+        return keep(pool, namespace, live, token, keyed=instance_pod.knows_keys(workloads.values()))
     if deleted or needing:
         return release(pool, live)
     return [Delete(SECRETS, live)] if live is not None and is_of(pool, live) else []
@@ -99,8 +107,3 @@ def _is_commanded(pod: Object, workloads: Mapping[str, Object]) -> bool:
 def _is_pool(owner: Object, pool: str) -> bool:
     found = (owner.get("apiVersion"), owner.get("kind"), owner.get("name"))
     return found == (API_VERSION, "FallbackPool", pool)
-
-
-def _secret(pool: str, token: str) -> Object:
-    made = ownership.token(names.pool_secret(pool), token)
-    return {**made, "metadata": {**made["metadata"], "labels": {names.POOL: pool}}}

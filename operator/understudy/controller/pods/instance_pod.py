@@ -13,7 +13,7 @@ from typing import Any
 
 from understudy.api import names
 from understudy.api.protocol import freeze_script, hold_script
-from understudy.api.protocol.agent_messages import OLDEST_PROTOCOL, PROTOCOL
+from understudy.api.protocol.agent_messages import KEYED_PROTOCOL, OLDEST_PROTOCOL, PROTOCOL
 from understudy.controller.observed import kube_objects
 from understudy.controller.plan import Images, from_field, pull_secrets, resources, variables
 from understudy.controller.pods import pod_placement, template_shape
@@ -189,7 +189,7 @@ def build(template: Mapping[str, Any], recipe: Recipe) -> Object:
         *(spec.get("volumes") or []),
         {"name": names.AGENT_VOLUME, "emptyDir": {}},
         {"name": names.MEMORY_VOLUME, "emptyDir": {}},
-        {"name": names.TOKEN_VOLUME, "secret": {"secretName": recipe.secret, "defaultMode": 0o444}},
+        {"name": names.TOKEN_VOLUME, "secret": _secret(recipe.secret)},
     ]
     if recipe.profiles:
         config_map = {"name": names.instance_profiles(recipe.workload)}
@@ -376,6 +376,29 @@ def _seen_waiting(container: str) -> Object:
     """
     path = f"{names.AGENT_DIR}/{hold_script.waiting_name(container)}"
     return {"name": names.MEMORY_VOLUME, "mountPath": path, "subPath": "waiting"}
+
+
+def _secret(name: str) -> Object:
+    """Return what the agent's volume has of the Secret: all but the private key of the monitor.
+
+    It is optional, because the public key comes later if the monitor is of an earlier version, and is missing after a rollback.
+    """
+    items = [{"key": entry, "path": entry} for entry in (names.TOKEN, names.MONITOR_PUBLIC_KEY)]
+    return {"secretName": name, "items": items, "optional": True, "defaultMode": 0o444}
+
+
+def knows_keys(workloads: Iterable[Object]) -> bool:
+    """Whether the monitors of all these workloads know the version of the protocol in which agents recognize them by a key.
+
+    One that has not reported anything yet is new, and has the image of this version or of a user.
+    """
+    return all(_knows_keys(workload.get("status") or {}) for workload in workloads)
+
+
+def _knows_keys(status: Object) -> bool:
+    if monitor := status.get("monitor"):
+        return bool((monitor.get("agentProtocol") or 0) >= KEYED_PROTOCOL)
+    return "health" not in status  # a monitor before 0.2.0 reports a health, and not itself
 
 
 def _fenced(container: Object, scope: freeze_script.Scope) -> Object:

@@ -176,7 +176,8 @@ def plan(observed: Observed, pool_plan: PoolPlan, fresh: UniqueValues) -> Plan:
     owner = kube_objects.owner("FallbackPool", pool)
     held = unclaimed(pool, observed.pods)
     present = instance_pod.template_hash(built)
-    made.writes += claim_tokens.keep(name, pool["metadata"]["namespace"], observed.secret, fresh.token)
+    keyed = instance_pod.knows_keys(observed.workloads.values())
+    made.writes += claim_tokens.keep(name, pool["metadata"]["namespace"], observed.secret, fresh.token, keyed=keyed)
     living = [pod for pod in held if kube_objects.alive(pod)]
     want = pool_size.wanted(spec, pool_plan.sized)
     update = _update(spec, want)

@@ -119,15 +119,16 @@ class ActionProxyLink:
         for instance in self._fleet.of_workload():
             if not reachable(instance, state):
                 continue
-            token = await self._agents.token(instance)
-            if token is not None:
+            secret = await self._agents.secret(instance)
+            if secret is not None:
                 peers.append(
                     {
                         "uid": instance.uid,
                         "pod": instance.name,
                         "ip": instance.ip,
                         "port": names.AGENT_PORT,
-                        "token": token.decode(),
+                        "token": secret.token.decode(),
+                        "key": secret.key.hex(),
                         "claim": instance.claim,
                         "executing": executing(instance, state, full),
                         "protocol": instance.agent_protocol,

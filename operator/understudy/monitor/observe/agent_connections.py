@@ -15,6 +15,7 @@ from understudy.api import names
 from understudy.api.base import seconds
 from understudy.api.protocol.agent_messages import PROTOCOL, RENEW_PERMIT, AgentStatus, GateEpoch, ProtocolError
 from understudy.api.protocol.kept_state import LARGEST, KeptState, RestoreReport
+from understudy.api.protocol.secure_channel import MonitorSecret
 from understudy.clock import CLOCK
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotVerified
@@ -75,7 +76,7 @@ class AgentConnections:
         self._crash_points, self._roles, self._wakeups = crash_points, roles, wakeups
         self._links: dict[str, AgentLink] = {}
         self._connecting: dict[str, asyncio.Task[AgentLink | None]] = {}
-        self._tokens: dict[str, bytes] = {}
+        self._secrets: dict[str, MonitorSecret] = {}
         self._read_at: dict[str, float] = {}
         self._unread_at: dict[str, float] = {}
         """When a Secret could not be read, by its name."""
@@ -132,15 +133,15 @@ class AgentConnections:
         return self._connecting[instance.uid]
 
     async def _link(self, instance: Instance) -> AgentLink | None:
-        token = await self.token(instance)
-        if token is None:
+        secret = await self.secret(instance)
+        if secret is None:
             return None
         self._instances.setdefault(instance.uid, instance)
         if instance.uid not in self._links:
             self._links[instance.uid] = AgentLink(
                 instance.ip,
                 names.AGENT_PORT,
-                token,
+                secret,
                 self._view.workload,
                 instance.claim,
                 uid=instance.uid,
@@ -191,28 +192,29 @@ class AgentConnections:
                 _logger.warning("agents are %s", error)
                 await asyncio.sleep(RETRY_API)
 
-    async def token(self, instance: Instance) -> bytes | None:
-        """Return the token that an instance's agent accepts; None while the Secret cannot be read."""
-        return await self._token(self._secret(instance))
+    async def secret(self, instance: Instance) -> MonitorSecret | None:
+        """Return what an instance's agent accepts; None while the Secret cannot be read."""
+        return await self._read_secret(self._secret_name(instance))
 
-    def _secret(self, instance: Instance) -> str:
+    def _secret_name(self, instance: Instance) -> str:
         return names.pool_secret(instance.pool) if instance.claim else names.agent_secret(self._view.workload)
 
-    async def _token(self, secret: str, *, again: bool = False) -> bytes | None:
-        if again or secret not in self._tokens:
+    async def _read_secret(self, secret: str, *, again: bool = False) -> MonitorSecret | None:
+        if again or secret not in self._secrets:
             if not again and time.monotonic() - self._unread_at.get(secret, -math.inf) < RETRY_API:
                 return None
             self._read_at[secret] = time.monotonic()
             try:
                 item = await self._client.get(SECRETS, self._view.namespace, secret)
-                self._tokens[secret] = base64.b64decode(item["data"]["token"])
+                token, key = item["data"][names.TOKEN], item["data"].get(names.MONITOR_PRIVATE_KEY, "")
+                self._secrets[secret] = MonitorSecret(base64.b64decode(token), base64.b64decode(key))
             except (*FAILURES, KeyError, ValueError) as error:
                 _logger.warning(
                     "cannot read Secret %s, without which the monitor cannot connect to agents: %r", secret, error
                 )
                 self._unread_at[secret] = time.monotonic()
                 return None
-        return self._tokens[secret]
+        return self._secrets[secret]
 
     def _changed(self, uid: str, link: AgentLink) -> None:
         if self._links.get(uid) is not link:
@@ -229,9 +231,9 @@ class AgentConnections:
 
     async def _renew(self, instance: Instance, link: AgentLink) -> None:
         """Read the Secret again after the agent refused the token or the claim: the Secret may have been recreated."""
-        secret = self._secret(instance)
+        secret = self._secret_name(instance)
         again = time.monotonic() - self._read_at.get(secret, -READ_AGAIN) >= READ_AGAIN
-        link.token = await self._token(secret, again=again) or link.token
+        link.secret = await self._read_secret(secret, again=again) or link.secret
 
     def _configure(self, uid: str) -> None:
         """Send an agent its configuration in the background, if this connection has not sent the same one already."""

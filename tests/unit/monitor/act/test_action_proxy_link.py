@@ -10,11 +10,13 @@ from typing import Any
 
 import pytest
 
+from tests.support.agents import PRIVATE_KEY
 from tests.support.notices import RecordedNotices
 from understudy.action_proxy.control_state import ControlState
 from understudy.action_proxy.monitor_socket import MonitorSocket
 from understudy.api.kinds.robot_workload import Health, RobotWorkloadSpec
 from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
+from understudy.api.protocol.secure_channel import MonitorSecret
 from understudy.failover.interfaces import GateState, Instance
 from understudy.monitor.act.action_proxy_link import CONDITION, ActionProxyLink, executing, judged, reachable, settled
 
@@ -61,8 +63,8 @@ class World:
     def find(self, uid: str) -> Instance | None:
         return next((i for i in self.instances if i.uid == uid), None)
 
-    async def token(self, instance: Instance) -> bytes:
-        return f"token of {instance.name}".encode()
+    async def secret(self, instance: Instance) -> MonitorSecret:
+        return MonitorSecret(f"token of {instance.name}".encode(), PRIVATE_KEY)
 
 
 def view(*tasks: dict[str, Any], problem: str = "", **more: Any) -> View:
@@ -112,9 +114,9 @@ async def test_the_proxy_receives_every_change_and_its_report_is_shown_even_if_i
     first = states[0]
     assert (first.workload, first.epoch, first.active, first.settled) == ("w", 3, "1", True)
     assert (first.rules[0].action, first.rules[0].on_failover, first.rules[0].abort_grace) == ("/goto", "Resend", 1.5)
-    assert [(p.pod, p.ip, p.token, p.executing) for p in first.peers] == [
-        ("w-1", "10.0.0.1", "token of w-1", False),
-        ("w-2", "10.0.0.2", "token of w-2", True),
+    assert [(p.pod, p.ip, p.token, p.key, p.executing) for p in first.peers] == [
+        ("w-1", "10.0.0.1", "token of w-1", PRIVATE_KEY.hex(), False),
+        ("w-2", "10.0.0.2", "token of w-2", PRIVATE_KEY.hex(), True),
     ]
     await eventually(lambda: world.notices.status.task_statuses and world.notices.conditions)
     assert (world.notices.status.task_statuses[0].active, world.notices.status.task_statuses[0].resent) == (2, 1)

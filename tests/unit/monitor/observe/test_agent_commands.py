@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from tests.support.agents import PRIVATE_KEY, known_to_agent
 from tests.unit.monitor.cluster_objects import NAMESPACE, ClusterObjects
 from understudy.api import names
 from understudy.api.kinds.failure_policy import FailurePolicySpec
@@ -39,7 +40,7 @@ class RecordingAgent:
     async def session(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.writers.append(writer)
         with contextlib.suppress(ConnectionError, EOFError):
-            channel = await accept(reader, writer, uid=INSTANCE.uid, token=lambda: b"token")
+            channel = await accept(reader, writer, uid=INSTANCE.uid, secret=lambda: known_to_agent(b"token"))
             channel.write({"status": AgentStatus("Running", True, configured=True).to_wire()})
             while True:
                 self.requests.append(request := await channel.read())
@@ -69,7 +70,10 @@ async def objects(policy: FailurePolicySpec) -> ClusterObjects:
     made.put_policy(policy)
     made.put_settings()
     made.put_gate(GateState(epoch=6, active="w-1", active_uid="uid-1"))
-    data = {"token": base64.b64encode(b"token").decode()}
+    data = {
+        names.TOKEN: base64.b64encode(b"token").decode(),
+        names.MONITOR_PRIVATE_KEY: base64.b64encode(PRIVATE_KEY).decode(),
+    }
     await made.client.create(SECRETS, NAMESPACE, {"metadata": {"name": names.agent_secret("w")}, "data": data})
     return made
 

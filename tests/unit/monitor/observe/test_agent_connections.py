@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from tests.support.agents import old_session
+from tests.support.agents import PRIVATE_KEY, known_to_agent, known_to_monitor, old_session
 from tests.unit.kube.memory import MemoryClient
 from tests.unit.monitor.cluster_objects import ClusterObjects
 from understudy.api import names
@@ -43,7 +43,7 @@ class Agent:
         self.writers.append(writer)
         with contextlib.suppress(ConnectionError):
             try:
-                channel = await accept(reader, writer, uid=INSTANCE.uid, token=lambda: self.token)
+                channel = await accept(reader, writer, uid=INSTANCE.uid, secret=lambda: known_to_agent(self.token))
             except AuthenticationFailed:
                 self.refused += 1
                 writer.close()
@@ -74,7 +74,10 @@ async def eventually(check: Callable[[], object]) -> None:
 
 async def keep(client: MemoryClient, token: bytes) -> None:
     client.items.pop((SECRETS.plural, "fleet", SECRET), None)
-    data = {"token": base64.b64encode(token).decode()}
+    data = {
+        names.TOKEN: base64.b64encode(token).decode(),
+        names.MONITOR_PRIVATE_KEY: base64.b64encode(PRIVATE_KEY).decode(),
+    }
     await client.create(SECRETS, "fleet", {"metadata": {"name": SECRET}, "data": data})
 
 
@@ -117,12 +120,12 @@ async def test_a_recreated_secret_is_read_when_an_agent_refuses_the_token(
     client.failing = lambda method, name: TimeoutError() if method == "GET" else None
     await eventually(lambda: reads(client) == 2)
     client.failing = lambda method, name: None
-    assert await agents.token(INSTANCE) == b"first", "what was known stays, where it can't be read"
+    assert await agents.secret(INSTANCE) == known_to_monitor(b"first"), "what was known stays, where it can't be read"
     await keep(client, b"second")
     async with asyncio.timeout(15):
         while agents.status(INSTANCE) is None:
             await asyncio.sleep(0.01)
-    assert await agents.token(INSTANCE) == b"second"
+    assert await agents.secret(INSTANCE) == known_to_monitor(b"second")
     agents.follow([])
 
 
@@ -194,11 +197,11 @@ async def test_a_secret_that_cannot_be_read_is_requested_again_after_a_pause(mon
     client.requests.clear()
     monkeypatch.setattr(module, "RETRY_API", 60.0)
     client.failing = lambda method, name: ApiError(429, "TooManyRequests", "later")
-    assert [await agents.token(INSTANCE) for _ in range(20)] == [None] * 20
+    assert [await agents.secret(INSTANCE) for _ in range(20)] == [None] * 20
     assert reads(client) == 1
     client.failing = lambda method, name: None
     monkeypatch.setattr(module, "RETRY_API", 0.0)
-    assert await agents.token(INSTANCE) == b"first"
+    assert await agents.secret(INSTANCE) == known_to_monitor(b"first")
 
 
 async def test_a_caller_that_gives_up_does_not_end_the_connection_that_another_one_waits_for(

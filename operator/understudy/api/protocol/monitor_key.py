@@ -1,0 +1,36 @@
+"""The key pair of a monitor, which shows its agents who it is: X25519 (RFC 7748). Pure.
+
+The operator writes both keys to the Secret with the agents' token. Pods mount the public key beside the token, and monitors read the
+private one from the API server. So whoever controls an agent knows the token, and still cannot act as the monitor toward another agent:
+the keys of a session also depend on what only the private key and the agent's own key of that session give.
+"""
+
+from __future__ import annotations
+
+import hashlib
+
+from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
+
+SIZE = 32
+"""Bytes of each key."""
+
+
+def pair(seed: str) -> tuple[bytes, bytes]:
+    """Return the private and the public key that follow from a random text."""
+    private = hashlib.sha256(seed.encode()).digest()
+    return private, X25519PrivateKey.from_private_bytes(private).public_key().public_bytes_raw()
+
+
+def shared(private: bytes, public: bytes) -> bytes:
+    """Return the secret that two sides share, by the private key of one and the public key of the other. Raises ValueError."""
+    return X25519PrivateKey.from_private_bytes(private).exchange(X25519PublicKey.from_public_bytes(public))
+
+
+class AgentSide:
+    """The agent's own key, which exists for one session."""
+
+    def __init__(self, monitor: bytes) -> None:
+        """``monitor`` is the public key of the monitor. Raises ValueError."""
+        own = X25519PrivateKey.generate()
+        self.public = own.public_key().public_bytes_raw()
+        self.shared = own.exchange(X25519PublicKey.from_public_bytes(monitor))
