@@ -176,8 +176,11 @@ class HealthTree:
 
     @property
     def failing(self) -> set[str]:
-        """The topics by whose messages a leaf failed at the last evaluation."""
-        return {leaf.topic for leaf in self._leaves if leaf.uses_messages and leaf.status == Status.FAILURE}
+        """The topics whose messages, or their absence, made the tree fail at its last evaluation; empty if it did not fail."""
+        if self.root is None or self.root.status != Status.FAILURE:
+            return set()
+        decisive = (leaf for leaf, _ in _decisive(self.root))
+        return {leaf.topic for leaf in decisive if leaf.uses_messages}
 
     @property
     def blind(self) -> list[str]:

@@ -192,6 +192,18 @@ def test_a_topic_of_the_robot_that_was_never_received_is_named_once_the_tree_fai
     until(observer, lambda: not observer.unheard, each=lambda: said.publish(String()))
 
 
+@pytest.mark.parametrize("kind", ["inverter", "selector"])
+def test_a_topic_of_the_robot_that_need_not_be_received_is_not_missed(observer: HealthObserver, kind: str) -> None:
+    never = {"topic": {"name": "/emergency", "gap": "1s"}}
+    beat = {"topic": {"name": "/beat", "gap": "1s"}}
+    tree = {"inverter": never} if kind == "inverter" else {"selector": [never, {"inverter": beat}]}
+    observer.follow(_policy(tree), parsed_spec(outputs=[{"topic": "/beat", "type": "std_msgs/msg/String"}]))
+    now = time.time()
+    assert observer.verdict(now=now + 60, since=now).state == "Healthy"
+    assert observer.awaited == ["/emergency"]
+    assert observer.unheard == ""
+
+
 def test_whether_an_instance_is_discovered_is_unknown_without_an_ipv4_address_or_outputs(
     observer: HealthObserver,
 ) -> None:
