@@ -124,6 +124,7 @@ class HealthTree:
         self._forecast: tuple[Observations, float, float, dict[str, float]] | None = None
         """Result of the last evaluation if all leaves were healthy: observations, time, since when, and by leaf path
         the end of health."""
+        self._failing: frozenset[str] = frozenset()
         self.root: Behaviour | None = None
         """The behaviours with the states of the last evaluation; None if nothing can be judged."""
         self.leave_out(())
@@ -175,12 +176,9 @@ class HealthTree:
         return list(self._leaves)
 
     @property
-    def failing(self) -> set[str]:
+    def failing(self) -> frozenset[str]:
         """The topics whose messages, or their absence, made the tree fail at its last evaluation; empty if it did not fail."""
-        if self.root is None or self.root.status != Status.FAILURE:
-            return set()
-        decisive = (leaf for leaf, _ in _decisive(self.root))
-        return {leaf.topic for leaf in decisive if leaf.uses_messages}
+        return self._failing
 
     @property
     def blind(self) -> list[str]:
@@ -193,6 +191,7 @@ class HealthTree:
 
         Read the topics first, then take ``now``: a message that has arrived but was not noted counts as missing.
         """
+        self._failing = frozenset()
         if self.root is None:
             return Verdict(
                 "Starting", f"none of {', '.join(topic.name for topic in self.topics)} can be watched", "", None
@@ -209,6 +208,8 @@ class HealthTree:
             return _HEALTHY
         leaves = _decisive(self.root)
         onset = _onset(self.root) if state == "Failed" else None
+        if state == "Failed":
+            self._failing = frozenset(leaf.topic for leaf, _ in leaves if leaf.uses_messages)
         return Verdict(state, "; ".join(reason for _, reason in leaves), leaves[0][0].name, onset)
 
     def deadline(self, observations: Observations, *, now: float, since: float) -> float | None:

@@ -192,6 +192,20 @@ def test_a_topic_of_the_robot_that_was_never_received_is_named_once_the_tree_fai
     until(observer, lambda: not observer.unheard, each=lambda: said.publish(String()))
 
 
+def test_what_is_missed_is_known_although_a_message_arrives_after_the_evaluation(observer: HealthObserver) -> None:
+    observer.follow(
+        _policy({"topic": {"name": "/said", "gap": "200ms"}}),
+        parsed_spec(outputs=[{"topic": "/beat", "type": "std_msgs/msg/String"}]),
+    )
+    said, begun = publisher(observer, "/said", String), time.time()
+    until(observer, lambda: not observer.awaited, each=lambda: said.publish(String()))
+    time.sleep(0.3)
+    assert observer.verdict(now=time.time(), since=begun).state == "Failed"
+    arrived = observer.records["/said"].arrivals[-1]
+    until(observer, lambda: observer.records["/said"].arrivals[-1] > arrived, each=lambda: said.publish(String()))
+    assert observer.unheard == ""
+
+
 @pytest.mark.parametrize("kind", ["inverter", "selector"])
 def test_a_topic_of_the_robot_that_need_not_be_received_is_not_missed(observer: HealthObserver, kind: str) -> None:
     never = {"topic": {"name": "/emergency", "gap": "1s"}}
