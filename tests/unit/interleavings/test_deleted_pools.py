@@ -212,10 +212,10 @@ def test_the_simulation_detects_a_secret_that_its_pool_owns() -> None:
         owner = {"apiVersion": "understudy.dev/v1alpha1", "kind": "FallbackPool", "name": "spare", "uid": "uid-spare"}
         return ownership.ours(body, {**owner, "controller": True}, {"metadata": {"namespace": namespace}})
 
-    def keep(pool: str, namespace: str, live: Object | None, token: Any) -> list[Any]:
+    def keep(pool: str, namespace: str, live: Object | None, token: Any, *, keyed: bool) -> list[Any]:
         if live is not None and controller_of(live) is None:  # as the cluster has it from the start
             return [claim_tokens.Patch(claim_tokens.SECRETS, live, {"metadata": owned(live, namespace)["metadata"]})]
-        made = ownership.agent_secret(names.pool_secret(pool), token)
+        made = ownership.agent_secret(names.pool_secret(pool), token, keyed=keyed)
         return [] if live is not None else [Create(claim_tokens.SECRETS, owned(made, namespace))]
 
     with mock.patch.object(claim_tokens, "keep", keep):

@@ -11,9 +11,6 @@ import hashlib
 
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
 
-SIZE = 32
-"""Bytes of each key."""
-
 
 def pair(seed: str) -> tuple[bytes, bytes]:
     """Return the private and the public key that follow from a random text."""

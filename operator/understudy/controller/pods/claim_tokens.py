@@ -34,9 +34,7 @@ def is_of(pool: str, secret: Object) -> bool:
     return kube_objects.labels(secret).get(names.POOL) == pool if owner is None else _is_pool(owner, pool)
 
 
-def keep(
-    pool: str, namespace: str, live: Object | None, token: Callable[[], str], *, keyed: bool = True
-) -> list[Write]:
+def keep(pool: str, namespace: str, live: Object | None, token: Callable[[], str], *, keyed: bool) -> list[Write]:
     """Return the writes for a Secret without an owner. An existing one keeps its token. ``keyed`` is whether it has the monitors' keys."""
     if live is None or not is_of(pool, live):
         secret = ownership.agent_secret(names.pool_secret(pool), token, keyed=keyed)

@@ -325,11 +325,8 @@ class HealthObserver:
     @property
     def hears_nobody(self) -> bool:
         """Whether this monitor has not received a single message, although it watches topics that the robot publishes."""
-        outputs = set(self.output_topics)
-        watched = (
-            {topic.name for topic in self._tree.judged if topic.subscribed} if self._tree is not None else set[str]()
-        )
-        return not watched <= outputs and not any(self._watching.records(topic) for topic in watched | outputs)
+        robots = self._robot_topics
+        return bool(robots) and not any(self._watching.records(topic) for topic in robots.union(self.output_topics))
 
     @property
     def unheard(self) -> str:
@@ -341,9 +338,13 @@ class HealthObserver:
     @property
     def awaited(self) -> list[str]:
         """The topics that the robot publishes, that are judged, and of which this monitor has never received a message."""
+        return sorted(topic for topic in self._robot_topics if not self._watching.records(topic))
+
+    @property
+    def _robot_topics(self) -> set[str]:
+        """The topics that the health tree judges and that the robot publishes."""
         judged = self._tree.judged if self._tree is not None else []
-        robots = {topic.name for topic in judged if topic.subscribed}.difference(self.output_topics)
-        return sorted(topic for topic in robots if not self._watching.records(topic))
+        return {topic.name for topic in judged if topic.subscribed}.difference(self.output_topics)
 
     def degraded_verdict(self, *, now: float, since: float) -> Verdict:
         """Return the verdict of the tree of ``spec.degraded`` on the active instance. Times are Unix seconds."""
