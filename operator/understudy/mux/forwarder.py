@@ -16,7 +16,6 @@ from typing import Protocol
 from understudy.api.protocol.session_keys import NotAuthentic
 from understudy.mux.control import Control, Heard, Refused, due_at, ordered, switched
 from understudy.mux.messages import MuxKeys, Report, read_order, report_text
-from understudy.ros.runtime.sample_taking import Sample
 
 _logger = logging.getLogger(__name__)
 
@@ -25,12 +24,14 @@ REMEMBERED = 60.0
 
 
 class Route(Protocol):
-    """One topic. :class:`understudy.ros.actions.forwarded_topic.ForwardedTopic` implements it."""
+    """One topic or service (ros/actions/forwarded_outputs.py)."""
 
-    topic: str
+    @property
+    def output(self) -> str:
+        """The name of the output that it belongs to."""
 
-    def drain(self, forwards: Callable[[Sample], bool]) -> int:
-        """Take all samples that have arrived, and forward those that a function accepts. Returns their number."""
+    def drain(self, forwards: Callable[[bytes], bool]) -> int:
+        """Take what has arrived, and forward what a function accepts by the GID of its writer. Returns the number of commands."""
 
 
 class Journal(Protocol):
@@ -58,8 +59,6 @@ class Forwarder:
         self.control = journal.load()
         self.instances: dict[bytes, str] = {}
         """The instance of each writer that discovery has reported; empty for a writer of no instance."""
-        self.unknown: set[bytes] = set()
-        """Writers whose samples arrived before discovery has reported them. They are not forwarded."""
         self.strangers: tuple[str, ...] = ()
         """As in the reports."""
         self._last: dict[str, dict[str, float]] = defaultdict(dict)
@@ -74,7 +73,7 @@ class Forwarder:
         """Take what arrived, and carry out a standing order that is due. Call it when something arrives, and at :attr:`due_at`."""
         now = self._clock()
         for route in self._routes:
-            self._forwarded += route.drain(self._judging(route.topic, now))
+            self._forwarded += route.drain(self._judging(route.output, now))
         if self._forwarded and math.isnan(self._first):
             self._first, self.changed = now, True
         if (found := switched(self.control, self._heard, now)) is not None:
@@ -152,18 +151,19 @@ class Forwarder:
             self._since, self._first, self._forwarded = now, math.nan, 0
         self.control, self.changed = control, True
 
-    def _judging(self, topic: str, now: float) -> Callable[[Sample], bool]:
-        """Return what notes a sample of a topic, and says whether it is forwarded."""
+    def _judging(self, output: str, now: float) -> Callable[[bytes], bool]:
+        """Return a function that notes a sample of an output by its writer, and returns whether it is forwarded.
+
+        Nothing is forwarded from a writer that discovery has not reported yet.
+        """
         instances: Mapping[bytes, str] = self.instances
         source, last = self.control.source, self._last
 
-        def forwards(sample: Sample) -> bool:
-            name = instances.get(sample.gid)
+        def forwards(writer: bytes) -> bool:
+            name = instances.get(writer)
             if not name:
-                if name is None:
-                    self.unknown.add(sample.gid)
                 return False
-            last[name][topic] = now
+            last[name][output] = now
             return name == source
 
         return forwards

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import logging
 import math
 import os
 import signal
 import socket
 import sys
-from collections.abc import Mapping
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pydantic import TypeAdapter
+
 from understudy.api import names
+from understudy.api.kinds.robot_workload import Output
 from understudy.mux.control_journal import ControlJournal
 from understudy.mux.forwarder import Forwarder
 from understudy.mux.messages import derive
@@ -22,7 +24,7 @@ from understudy.process import json_logs
 
 if TYPE_CHECKING:
     from understudy.mux.exchange import Exchange
-    from understudy.ros.actions.forwarded_topic import ForwardedTopic
+    from understudy.ros.actions.forwarded_outputs import Route
 
 _logger = logging.getLogger(__name__)
 
@@ -41,13 +43,13 @@ DISCOVERED_WITHIN = 1.0
 def main(argv: list[str]) -> int:
     """Run until SIGTERM or SIGINT.
 
-    UNDERSTUDY_NAMESPACE and UNDERSTUDY_WORKLOAD name the workload, UNDERSTUDY_OUTPUTS has the types of its topics by name as JSON,
+    UNDERSTUDY_NAMESPACE and UNDERSTUDY_WORKLOAD name the workload, UNDERSTUDY_OUTPUTS has its outputs as in its spec, as JSON,
     UNDERSTUDY_TOKEN_FILE the file with its token, and UNDERSTUDY_ADDRESS this host's address. The environment gives the ROS graph.
     """
     json_logs.configure(os.environ.get("UNDERSTUDY_LOG_LEVEL", "INFO"))
     try:
         namespace, workload = os.environ["UNDERSTUDY_NAMESPACE"], os.environ["UNDERSTUDY_WORKLOAD"]
-        outputs: Mapping[str, str] = json.loads(os.environ["UNDERSTUDY_OUTPUTS"])
+        outputs = TypeAdapter(list[Output]).validate_json(os.environ["UNDERSTUDY_OUTPUTS"])
         token = Path(os.environ["UNDERSTUDY_TOKEN_FILE"]).read_bytes()
     except (KeyError, ValueError, OSError) as error:
         print(
@@ -61,14 +63,14 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-async def _run(namespace: str, workload: str, outputs: Mapping[str, str], token: bytes, state: Path) -> None:
+async def _run(namespace: str, workload: str, outputs: Sequence[Output], token: bytes, state: Path) -> None:
     from understudy.ros.rmw import MIDDLEWARE
 
     settings = state / "profiles.xml"
     settings.write_text(MIDDLEWARE.mux_settings(outputs))
     os.environ[MIDDLEWARE.settings_variable] = str(settings)
     from understudy.mux.exchange import Exchange
-    from understudy.ros.actions.forwarded_topic import ForwardedTopic
+    from understudy.ros.actions.forwarded_outputs import routes
     from understudy.ros.runtime.arrival_wakeups import ArrivalWakeups
     from understudy.ros.runtime.graph_node import Graph
     from understudy.ros.runtime.sample_taking import SampleTaker
@@ -77,8 +79,8 @@ async def _run(namespace: str, workload: str, outputs: Mapping[str, str], token:
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, stopping.set)
     graph, taker, wakeups = Graph("understudy_mux_" + names.in_ros(workload)), SampleTaker(), ArrivalWakeups()
-    routes = [ForwardedTopic(graph, topic, type_name, taker, wakeups) for topic, type_name in outputs.items()]
-    forwarder = Forwarder(routes, derive(token, namespace, workload), ControlJournal(state / "control.json"))
+    ways = routes(outputs, graph, wakeups)
+    forwarder = Forwarder(ways, derive(token, namespace, workload), ControlJournal(state / "control.json"))
     exchange = Exchange(graph, namespace, workload, taker, wakeups)
     work = _Work(forwarder, exchange)
 
@@ -87,8 +89,8 @@ async def _run(namespace: str, workload: str, outputs: Mapping[str, str], token:
         work.done()
 
     loop.add_reader(wakeups.descriptor, arrived)
-    _logger.info("mux of %s/%s: %s", namespace, workload, ", ".join(outputs))
-    tasks = [asyncio.create_task(_follow(routes, forwarder)), asyncio.create_task(work.report())]
+    _logger.info("mux of %s/%s: %s", namespace, workload, ", ".join(output.name for output in outputs))
+    tasks = [asyncio.create_task(_follow(ways, forwarder)), asyncio.create_task(work.report())]
     stopped = asyncio.create_task(stopping.wait())
     await asyncio.wait([*tasks, stopped], return_when=asyncio.FIRST_COMPLETED)
     for task in tasks:
@@ -135,7 +137,7 @@ class _Work:
                 self.done()
 
 
-async def _follow(routes: list[ForwardedTopic], forwarder: Forwarder) -> None:
+async def _follow(routes: Sequence[Route], forwarder: Forwarder) -> None:
     """Learn whose writers there are, and match the QoS of both sides."""
     from understudy.ros.rmw import MIDDLEWARE
 
@@ -148,7 +150,9 @@ async def _follow(routes: list[ForwardedTopic], forwarder: Forwarder) -> None:
             present |= {end.gid for end in writers}
             # None: discovery has not reported it yet.
             ours = {end.gid: forwarder.instances.get(end.gid) for end in writers}
-            strangers |= {f"{route.topic} by {end.node or 'an unnamed node'}" for end in writers if ours[end.gid] == ""}
+            strangers |= {
+                f"{route.output} by {end.node or 'an unnamed node'}" for end in writers if ours[end.gid] == ""
+            }
             route.follow([gid for gid, instance in ours.items() if instance])
         forwarder.strangers = tuple(sorted(strangers))
         unknown = present - forwarder.instances.keys()
@@ -161,7 +165,6 @@ async def _follow(routes: list[ForwardedTopic], forwarder: Forwarder) -> None:
                 _logger.warning("discovery cannot be asked whose writers there are: %s", error)
         for gone in forwarder.instances.keys() - present:
             del forwarder.instances[gone]
-        forwarder.unknown.clear()
         await asyncio.sleep(FOLLOW_PERIOD)
 
 

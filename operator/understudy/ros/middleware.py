@@ -90,8 +90,8 @@ class Middleware(ABC):
         """
 
     @abstractmethod
-    def mux_settings(self, topics: Iterable[str]) -> str:
-        """Return the settings file of a mux: it reads these topics from instances, and writes them to the robot."""
+    def mux_settings(self, outputs: Iterable[Output]) -> str:
+        """Return the settings file of a mux, which passes these outputs on between the instances and the robot."""
 
     # -- Who sends and who reads --------------------------------------------------------------------------------------
 

@@ -17,7 +17,7 @@ pytest.importorskip("rclpy")
 
 
 from tests.unit.ros.processes import Processes
-from tests.unit.ros.test_forwarded_topic import CHAT, HEAR, OUTPUTS, TALK, TYPE
+from tests.unit.ros.test_forwarded_topic import CHAT, HEAR, OUTPUTS, TALK
 from understudy.api import names
 from understudy.mux.control import Order, StandingOrder, Token
 from understudy.mux.exchange import topics
@@ -66,7 +66,7 @@ class Stand:
             [sys.executable, "-m", "understudy.main", "mux"],
             UNDERSTUDY_NAMESPACE="fleet",
             UNDERSTUDY_WORKLOAD="w",
-            UNDERSTUDY_OUTPUTS=json.dumps({CHAT: TYPE}),
+            UNDERSTUDY_OUTPUTS=json.dumps([output.model_dump(mode="json", exclude_none=True) for output in OUTPUTS]),
             UNDERSTUDY_TOKEN_FILE=str(self._folder / "token"),
             UNDERSTUDY_STATE=str(self._folder / "state"),
             UNDERSTUDY_ADDRESS="127.0.0.1",

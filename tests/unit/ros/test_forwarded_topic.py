@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pydantic import TypeAdapter
 
 pytest.importorskip("rclpy")
 
@@ -66,11 +67,13 @@ class Stand:
         (folder / "talk.py").write_text(TALK)
         (folder / "hear.py").write_text(HEAR)
         (folder / "instance.xml").write_text(muxed_profiles_xml(OUTPUTS))
-        (folder / "mux.xml").write_text(mux_profiles_xml([CHAT]))
+        (folder / "mux.xml").write_text(mux_profiles_xml(OUTPUTS))
         self._processes, self._folder = processes, folder
         self.robot = processes.node(script=str(folder / "hear.py"))
         self.mux = processes.node(
-            CHAT, TYPE, script="forwarding.py", FASTRTPS_DEFAULT_PROFILES_FILE=str(folder / "mux.xml")
+            TypeAdapter(list[Output]).dump_json(OUTPUTS, exclude_none=True).decode(),
+            script="forwarding.py",
+            FASTRTPS_DEFAULT_PROFILES_FILE=str(folder / "mux.xml"),
         )
 
     def instance(self, pod: str, *, muxed: bool = True) -> subprocess.Popen[str]:

@@ -17,7 +17,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from understudy.ros.runtime.arrival_wakeups import ArrivalWakeups
 from understudy.ros.runtime.graph_node import Endpoint, Graph
 from understudy.ros.runtime.interface_types import message_class
-from understudy.ros.runtime.sample_taking import Sample, SampleTaker
+from understudy.ros.runtime.sample_taking import SampleTaker
 
 DEPTH = 100
 """Samples that wait for this process, per topic: those of a second at 100 Hz, while the process stands still."""
@@ -31,7 +31,7 @@ class ForwardedTopic:
 
     def __init__(self, graph: Graph, topic: str, type_name: str, taker: SampleTaker, wakeups: ArrivalWakeups) -> None:
         """Begin to receive. Raises TypeNotInstalled and NotReceivable."""
-        self.topic = topic
+        self.output = topic
         self._graph, self._type, self._taker, self._wakeups = graph, type_name, taker, wakeups
         self._class = message_class(type_name)
         self._reliable: bool | None = None
@@ -42,7 +42,7 @@ class ForwardedTopic:
 
     def writers(self) -> list[Endpoint]:
         """Return the writers of the topic besides this one."""
-        return [end for end in self._graph.publishers(self.topic) if end.node != self._graph.name]
+        return [end for end in self._graph.publishers(self.output) if end.node != self._graph.name]
 
     def follow(self, instances: Collection[bytes]) -> None:
         """Match the QoS that the instances' writers, given by their GIDs, offer, and that the robot's readers request.
@@ -50,14 +50,14 @@ class ForwardedTopic:
         A subscription or publisher whose QoS changes is created again, and then must be discovered again. So follow them before they are
         needed.
         """
-        offers = [qos for end, qos in self._graph.offers(self.topic) if end.gid in instances]
-        readers = [qos for end, qos in self._graph.requests(self.topic) if end.node != self._graph.name]
+        offers = [qos for end, qos in self._graph.offers(self.output) if end.gid in instances]
+        readers = [qos for end, qos in self._graph.requests(self.output) if end.node != self._graph.name]
         reliable = all(offer.reliability == ReliabilityPolicy.RELIABLE for offer in offers)
         if reliable != self._reliable:
             if self._subscription is not None:
                 self._wakeups.forget(self._subscription.handle)
                 self._graph.unsubscribe(self._subscription)
-            self._subscription = self._graph.subscribe(self.topic, self._type, depth=DEPTH, reliable=reliable)
+            self._subscription = self._graph.subscribe(self.output, self._type, depth=DEPTH, reliable=reliable)
             self._wakeups.add(self._subscription.handle)
             self._reliable = reliable
         offer = offered(readers)
@@ -65,12 +65,12 @@ class ForwardedTopic:
             if self._publisher is not None:
                 self._graph.node.destroy_publisher(self._publisher)
             self._publisher = self._graph.node.create_publisher(
-                self._class, self.topic, offer, event_callbacks=PublisherEventCallbacks(use_default_callbacks=False)
+                self._class, self.output, offer, event_callbacks=PublisherEventCallbacks(use_default_callbacks=False)
             )
             self._offer = offer
 
-    def drain(self, forwards: Callable[[Sample], bool]) -> int:
-        """Take all samples that have arrived, and forward those that a function accepts. Returns their number.
+    def drain(self, forwards: Callable[[bytes], bool]) -> int:
+        """Take all samples that have arrived, and forward those that a function accepts by the GID of their writer. Returns their number.
 
         Raises TakeError and PublishError.
         """
@@ -78,7 +78,7 @@ class ForwardedTopic:
         with self._subscription.handle, self._publisher.handle:
             source, target = self._subscription.handle.pointer, self._publisher.handle.pointer
             while (sample := self._taker.take(source, with_data=False)) is not None:
-                if forwards(sample):
+                if forwards(sample.gid):
                     self._taker.publish(target)
                     forwarded += 1
         return forwarded

@@ -96,11 +96,11 @@ class FastDds(Middleware):
 
         return [] if output.topic else profiles.command_writers(output)
 
-    def mux_settings(self, topics: Iterable[str]) -> str:
-        """Return the profiles with the readers in the partitions of all pods."""
+    def mux_settings(self, outputs: Iterable[Output]) -> str:
+        """Return the profiles with the endpoints toward the instances in the partitions of all pods."""
         from understudy.ros.dds import profiles
 
-        return profiles.mux_profiles_xml(topics)
+        return profiles.mux_profiles_xml(outputs)
 
     def host_of(self, gid: bytes) -> bytes:
         """Return the vendor and the host id."""

@@ -127,10 +127,10 @@ def instance_profiles_xml(tasks: Iterable[Task], outputs: Iterable[Output] = (),
     Values that differ between pods remain variables (see agent/prepare.py).
     """
     profiles = "".join(
-        _PARTITIONED.format(kind=kind, name=quoteattr(name), partition=PARTITION)
+        _partitioned(kind, name, PARTITION)
         for task in tasks
         for name in _action_endpoints(task.action)
-        for kind in ("data_reader", "data_writer")
+        for kind in _KINDS
     )
     for output in outputs:
         length = output.valid_for(reflex)
@@ -150,33 +150,48 @@ def instance_of(partitions: Iterable[str]) -> str:
     return found[0].removeprefix(PARTITIONS) if len(found) == 1 and found[0].startswith(PARTITIONS) else ""
 
 
-def muxed_profiles_xml(outputs: Iterable[Output]) -> str:
-    """Return the profile file of an instance whose outputs a mux forwards: their writers are in the partition of the pod.
+def muxed_profiles_xml(outputs: Iterable[Output], tasks: Iterable[Task] = ()) -> str:
+    """Return the profile file of an instance whose outputs a mux forwards: all their endpoints are in the partition of the pod.
 
-    So they cannot reach the robot's own readers, whatever the network is.
+    So its writers cannot reach the robot's own readers, whatever the network is. Its readers are in the partition too, so that the
+    processes of the instance still hear each other.
     """
-    return _FILE.format(
-        profiles="".join(
-            _PARTITIONED.format(kind="data_writer", name=quoteattr(output.topic), partition=PARTITION)
-            for output in outputs
-            if output.topic
-        )
-    )
+    endpoints = [name for output in outputs for name in reader_profiles(output)]
+    endpoints += [name for task in tasks for name in _action_endpoints(task.action)]
+    return _FILE.format(profiles="".join(_partitioned(kind, name, PARTITION) for name in endpoints for kind in _KINDS))
 
 
-def mux_profiles_xml(topics: Iterable[str]) -> str:
-    """Return the profile file of a mux: its readers are in the partitions of all pods, and its writers in the robot's default one."""
+def mux_profiles_xml(outputs: Iterable[Output]) -> str:
+    """Return the profile file of a mux: toward the instances it is in the partitions of all pods, and toward the robot in the default one.
+
+    Both sides use the same names. What comes from instances is read in their partitions and written in the default one. What the robot
+    returns, such as replies and feedback, is read in the default one and written in their partitions.
+    """
     everybody = f"{PARTITIONS}*"
     return _FILE.format(
         profiles="".join(
-            _PARTITIONED.format(kind="data_reader", name=quoteattr(topic), partition=everybody) for topic in topics
+            _partitioned("data_reader" if is_command else "data_writer", name, everybody)
+            for output in outputs
+            for name, is_command in _directions(output)
         )
     )
+
+
+def _directions(output: Output) -> list[tuple[str, bool]]:
+    """Return the DDS topics of an output that the robot reads or serves, each with whether its samples are sent to the robot."""
+    return [(name, bool(output.topic) or name.startswith("rq")) for name in reader_profiles(output)]
 
 
 def _action_endpoints(action: str) -> list[str]:
     """Return the profile names of all readers and writers of an action's server and clients."""
     return reader_profiles(Output(action=action, type="action_msgs/action/Any"))
+
+
+_KINDS = ("data_reader", "data_writer")
+
+
+def _partitioned(kind: str, name: str, partition: str) -> str:
+    return _PARTITIONED.format(kind=kind, name=quoteattr(name), partition=partition)
 
 
 _FILE = """\

@@ -1,4 +1,4 @@
-"""Wakes an event loop when messages arrive on drained subscriptions.
+"""Wakes an event loop when messages arrive on drained subscriptions, services and clients.
 
 The middleware calls a C function for each message, in a thread of its own. Here that function is the C library's
 ``eventfd_write``, whose two arguments are exactly those that the middleware passes: a word of ours, and the number of
@@ -26,14 +26,29 @@ class ArrivalWakeups:
         self.asked = False
         """Whether any subscription was added."""
         self._write = ctypes.cast(ctypes.CDLL(None).eventfd_write, ctypes.c_void_p)
-        self._set = loaded("librcl").rcl_subscription_set_on_new_message_callback
-        self._set.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
+        library = loaded("librcl")
+        self._set = library.rcl_subscription_set_on_new_message_callback
+        self._set_for_service = library.rcl_service_set_on_new_request_callback
+        self._set_for_client = library.rcl_client_set_on_new_response_callback
+        for function in (self._set, self._set_for_service, self._set_for_client):
+            function.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
         self._reset_error = loaded("librcutils").rcutils_reset_error
 
     def add(self, handle: Any) -> None:
         """Report messages that arrive on the subscription with this rclpy handle, and those that already wait there."""
+        self._add(self._set, handle)
+
+    def add_service(self, handle: Any) -> None:
+        """Report requests that arrive at the service with this rclpy handle."""
+        self._add(self._set_for_service, handle)
+
+    def add_client(self, handle: Any) -> None:
+        """Report answers that arrive at the client with this rclpy handle."""
+        self._add(self._set_for_client, handle)
+
+    def _add(self, function: Any, handle: Any) -> None:
         with handle:
-            result = self._set(handle.pointer, self._write, self.descriptor)
+            result = function(handle.pointer, self._write, self.descriptor)
         if result != 0:
             self._reset_error()
             _logger.warning(

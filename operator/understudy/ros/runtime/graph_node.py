@@ -154,6 +154,10 @@ class Graph:
         """Return the readers of a service's requests."""
         return _endpoints(self.node.get_subscriptions_info_by_topic(f"rq{service}Request", no_mangle=True))
 
+    def requesters(self, service: str) -> list[Endpoint]:
+        """Return the writers of a service's requests."""
+        return _endpoints(self.node.get_publishers_info_by_topic(f"rq{service}Request", no_mangle=True))
+
     def clients(self, output: Output) -> list[Endpoint]:
         """Return the writers of an output's requests, goals and cancellations. Empty for a topic.
 
