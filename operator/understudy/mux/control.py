@@ -13,59 +13,19 @@ import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 
-
-@dataclass(frozen=True, order=True)
-class Token:
-    """What orders all decisions about one workload. A greater one is newer."""
-
-    workload_created: float = 0.0
-    """When the RobotWorkload was created, by the API server: the epochs of one that was deleted and created again begin at 0."""
-    epoch: int = 0
-    """The epoch of the gate object."""
-    count: int = 0
-    """Number of the mux's own switches in this epoch."""
-
-
-@dataclass(frozen=True)
-class StandingOrder:
-    """Who is forwarded next, and after which silence, without another order."""
-
-    successors: tuple[str, ...] = ()
-    """The names of instances, the first choice first."""
-    silences: Mapping[str, float] = field(default_factory=dict)
-    """Seconds of silence by output. An instance that is silent on one of these outputs for so long is replaced."""
-
-
-@dataclass(frozen=True)
-class Order:
-    """What a monitor orders: the state of the gate object that it committed or read."""
-
-    workload_created: float
-    epoch: int
-    source: str
-    """The name of the instance to forward; empty for nobody."""
-    knows: Token = Token()
-    """The newest token that the monitor has seen in the mux's reports."""
-    standing: StandingOrder = StandingOrder()
-    revision: int = 0
-    """Grows with each standing order of one epoch."""
-
-    @property
-    def token(self) -> Token:
-        """Return the token of the decision."""
-        return Token(self.workload_created, self.epoch)
+from understudy.api.protocol.mux_messages import Order, StandingOrder, Token
 
 
 @dataclass(frozen=True)
 class Control:
     """Whom the mux forwards. It is kept on disk, so that a mux that restarts continues with it."""
 
-    token: Token = Token()
+    token: Token = field(default_factory=Token)
     source: str = ""
     """Empty for nobody."""
     ordered: str = ""
     """Whom the order of this epoch names. It differs from ``source`` after a switch of the mux's own."""
-    standing: StandingOrder = StandingOrder()
+    standing: StandingOrder = field(default_factory=StandingOrder)
     revision: int = -1
     """Revision of the standing order."""
     replaced: tuple[str, ...] = ()

@@ -8,7 +8,8 @@ import os
 from dataclasses import asdict
 from pathlib import Path
 
-from understudy.mux.control import Control, StandingOrder, Token
+from understudy.api.protocol.mux_messages import StandingOrder, Token
+from understudy.mux.control import Control
 
 _logger = logging.getLogger(__name__)
 

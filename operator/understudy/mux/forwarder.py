@@ -13,9 +13,9 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
 from typing import Protocol
 
+from understudy.api.protocol.mux_messages import MuxKeys, Report, read_order, report_text
 from understudy.api.protocol.session_keys import NotAuthentic
 from understudy.mux.control import Control, Heard, Refused, due_at, ordered, switched
-from understudy.mux.messages import MuxKeys, Report, read_order, report_text
 
 _logger = logging.getLogger(__name__)
 

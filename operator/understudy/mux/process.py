@@ -17,14 +17,14 @@ from pydantic import TypeAdapter
 
 from understudy.api import names
 from understudy.api.kinds.robot_workload import Output
+from understudy.api.protocol.mux_messages import derive, topics
 from understudy.mux.control_journal import ControlJournal
 from understudy.mux.forwarder import Forwarder
-from understudy.mux.messages import derive
 from understudy.process import json_logs
 
 if TYPE_CHECKING:
-    from understudy.mux.exchange import Exchange
     from understudy.ros.actions.forwarded_outputs import Route
+    from understudy.ros.actions.text_exchange import TextExchange
 
 _logger = logging.getLogger(__name__)
 
@@ -69,19 +69,19 @@ async def _run(namespace: str, workload: str, outputs: Sequence[Output], token: 
     settings = state / "profiles.xml"
     settings.write_text(MIDDLEWARE.mux_settings(outputs))
     os.environ[MIDDLEWARE.settings_variable] = str(settings)
-    from understudy.mux.exchange import Exchange
     from understudy.ros.actions.forwarded_outputs import routes
+    from understudy.ros.actions.text_exchange import TextExchange
     from understudy.ros.runtime.arrival_wakeups import ArrivalWakeups
     from understudy.ros.runtime.graph_node import Graph
-    from understudy.ros.runtime.sample_taking import SampleTaker
 
     loop, stopping = asyncio.get_running_loop(), asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, stopping.set)
-    graph, taker, wakeups = Graph("understudy_mux_" + names.in_ros(workload)), SampleTaker(), ArrivalWakeups()
+    graph, wakeups = Graph("understudy_mux_" + names.in_ros(workload)), ArrivalWakeups()
     ways = routes(outputs, graph, wakeups)
     forwarder = Forwarder(ways, derive(token, namespace, workload), ControlJournal(state / "control.json"))
-    exchange = Exchange(graph, namespace, workload, taker, wakeups)
+    orders, reports = topics(namespace, workload)
+    exchange = TextExchange(graph, wakeups, reads=orders, writes=reports)
     work = _Work(forwarder, exchange)
 
     def arrived() -> None:
@@ -104,7 +104,7 @@ async def _run(namespace: str, workload: str, outputs: Sequence[Output], token: 
 class _Work:
     """What is done when something arrives, and when a silence is long enough."""
 
-    def __init__(self, forwarder: Forwarder, exchange: Exchange) -> None:
+    def __init__(self, forwarder: Forwarder, exchange: TextExchange) -> None:
         self._forwarder, self._exchange = forwarder, exchange
         self._timer: asyncio.TimerHandle | None = None
         self._wake = asyncio.Event()

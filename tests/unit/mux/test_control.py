@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from understudy.mux.control import Control, Heard, Order, Refused, StandingOrder, Token, due_at, ordered, switched
+from understudy.api.protocol.mux_messages import Order, StandingOrder, Token
+from understudy.mux.control import Control, Heard, Refused, due_at, ordered, switched
 
 SILENCES = {"/cmd_vel": 0.1, "/fork": 0.5}
 STANDING = StandingOrder(successors=("w-2", "w-3", "onboard"), silences=SILENCES)

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from understudy.mux.control import Control, Order, StandingOrder, Token
+from understudy.api.protocol.mux_messages import Order, Report, StandingOrder, Token, derive, order_text, read_report
+from understudy.mux.control import Control
 from understudy.mux.control_journal import ControlJournal
 from understudy.mux.forwarder import Forwarder
-from understudy.mux.messages import Report, derive, order_text, read_report
 
 KEYS = derive(b"token", "fleet", "w")
 ORDER = Order(1000.0, 5, "w-1", standing=StandingOrder(("w-2",), {"/cmd_vel": 0.5}))

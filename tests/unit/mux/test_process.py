@@ -19,9 +19,16 @@ pytest.importorskip("rclpy")
 from tests.unit.ros.processes import Processes
 from tests.unit.ros.test_forwarded_topic import CHAT, HEAR, OUTPUTS, TALK
 from understudy.api import names
-from understudy.mux.control import Order, StandingOrder, Token
-from understudy.mux.exchange import topics
-from understudy.mux.messages import Report, derive, order_text, read_report
+from understudy.api.protocol.mux_messages import (
+    Order,
+    Report,
+    StandingOrder,
+    Token,
+    derive,
+    order_text,
+    read_report,
+    topics,
+)
 from understudy.ros.dds.profiles import muxed_profiles_xml
 
 pytestmark = pytest.mark.ros

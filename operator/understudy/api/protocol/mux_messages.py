@@ -3,8 +3,8 @@
 Topics need no address and no port: wherever the commands of an instance can reach the mux, orders can too. DDS does not authenticate them,
 so each text begins with a MAC by a key that HKDF (RFC 5869) derives from the token of the workload. Each direction has its own key.
 
-An order that is recorded and sent again is harmless, because it is not newer than the control (:mod:`control`). A report is as fresh as the
-order whose ``nonce`` it repeats: a monitor uses a new one in each order.
+An order that is recorded and sent again is harmless, because it is not newer than what the mux has carried out (mux/control.py). A report
+is as fresh as the order whose ``nonce`` it repeats: a monitor uses a new one in each order.
 """
 
 from __future__ import annotations
@@ -16,13 +16,55 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from understudy.api import names
 from understudy.api.protocol.session_keys import NotAuthentic, expanded
-from understudy.mux.control import Order, StandingOrder, Token
 
 _SALT = b"understudy mux, version 1"
 
 MOST = 1 << 16
 """Most characters of a text."""
+
+
+@dataclass(frozen=True, order=True)
+class Token:
+    """What orders all decisions about one workload. A greater one is newer."""
+
+    workload_created: float = 0.0
+    """When the RobotWorkload was created, by the API server: the epochs of one that was deleted and created again begin at 0."""
+    epoch: int = 0
+    """The epoch of the gate object."""
+    count: int = 0
+    """Number of the mux's own switches in this epoch."""
+
+
+@dataclass(frozen=True)
+class StandingOrder:
+    """Who is forwarded next, and after which silence, without another order."""
+
+    successors: tuple[str, ...] = ()
+    """The names of instances, the first choice first."""
+    silences: Mapping[str, float] = field(default_factory=dict)
+    """Seconds of silence by output. An instance that is silent on one of these outputs for so long is replaced."""
+
+
+@dataclass(frozen=True)
+class Order:
+    """What a monitor orders: the state of the gate object that it committed or read."""
+
+    workload_created: float
+    epoch: int
+    source: str
+    """The name of the instance to forward; empty for nobody."""
+    knows: Token = Token()
+    """The newest token that the monitor has seen in the mux's reports."""
+    standing: StandingOrder = StandingOrder()
+    revision: int = 0
+    """Grows with each standing order of one epoch."""
+
+    @property
+    def token(self) -> Token:
+        """Return the token of the decision."""
+        return Token(self.workload_created, self.epoch)
 
 
 @dataclass(frozen=True)
@@ -36,6 +78,12 @@ class MuxKeys:
 def derive(token: bytes, namespace: str, workload: str) -> MuxKeys:
     """Return the keys of a workload whose monitors and mux know a token."""
     return MuxKeys(*(expanded(_SALT, token, use, namespace, workload) for use in ("orders", "reports")))
+
+
+def topics(namespace: str, workload: str) -> tuple[str, str]:
+    """Return the topics of the orders and of the reports of a workload."""
+    place = "/understudy/" + "/".join(map(names.in_ros, (namespace, workload)))
+    return f"{place}/mux_orders", f"{place}/mux_reports"
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from understudy.api.protocol.mux_messages import (
+    Order,
+    Report,
+    StandingOrder,
+    Token,
+    derive,
+    order_text,
+    read_order,
+    read_report,
+    report_text,
+)
 from understudy.api.protocol.session_keys import NotAuthentic
-from understudy.mux.control import Order, StandingOrder, Token
-from understudy.mux.messages import Report, derive, order_text, read_order, read_report, report_text
 
 KEYS = derive(b"token", "fleet", "robot-17")
 TOKENS = st.builds(Token, st.floats(0, 2e9), st.integers(0, 2**31), st.integers(0, 100))
