@@ -207,6 +207,12 @@ MONITOR_IMAGE_VARIABLE = "UNDERSTUDY_MONITOR_IMAGE"
 WORKLOAD_VARIABLE = "UNDERSTUDY_WORKLOAD"
 """Environment variable of Understudy's own processes with the workload that they serve; empty in unclaimed pods of shared pools."""
 
+NAMESPACE_VARIABLE = "UNDERSTUDY_NAMESPACE"
+"""Environment variable of Understudy's own processes with the namespace of the workload."""
+
+OUTPUTS_VARIABLE = "UNDERSTUDY_OUTPUTS"
+"""Environment variable of a mux with the outputs of its workload, as in the spec, in JSON."""
+
 FENCED_VARIABLE = "UNDERSTUDY_FENCED_CONTAINERS"
 UNFENCED_VARIABLE = "UNDERSTUDY_UNFENCED_CONTAINERS"
 """Environment variables with the containers that the agent can hold while the pod is cut off, and those that it cannot hold."""
@@ -278,6 +284,11 @@ def settings(workload: str) -> str:
 def agent_secret(workload: str) -> str:
     """Name of the Secret with ``token`` for the agents of a workload's own instances."""
     return f"{workload}-agent"
+
+
+def mux(workload: str) -> str:
+    """Name of the ConfigMap with the environment of a workload's mux (``envFrom``), and of the Secret with its ``token``."""
+    return f"{workload}-mux"
 
 
 def held(pool: str) -> str:

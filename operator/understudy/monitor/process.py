@@ -24,9 +24,11 @@ from understudy.failover.progress import PodIdentity
 from understudy.kube.client import Client
 from understudy.kube.events import Recorder
 from understudy.kube.gates import registry
+from understudy.kube.gates.mux_reports import MuxReports
 from understudy.kube.kubeconfig import default_access
 from understudy.kube.warm_connections import keep_warm
 from understudy.monitor.act.action_proxy_link import ActionProxyLink
+from understudy.monitor.act.gate.mux_orders import MuxOrders
 from understudy.monitor.act.gate.permits import Permits
 from understudy.monitor.act.instances.state_manager import StateManager
 from understudy.monitor.act.objects.cluster import Cluster
@@ -118,6 +120,7 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         }
         await serve(pages, names.METRICS_PORT)
         proof = await gate_kind.proof()
+        reports = proof if isinstance(proof, MuxReports) else None
         await view.run(group)
         crash_points = CrashPoints(state)
         notices = Notices(PublishedStatus.adopt(view.object))
@@ -132,7 +135,7 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         roles = InstanceRoles(view, gate, current)
         agents = AgentConnections(client, view, address, crash_points, roles, wakeups, proof)
         meter = ResourceMeter(client, namespace, workload)
-        observer = HealthObserver(meter, address)
+        observer = HealthObserver(meter, address, reports)
         black_box = BlackBox(view, observer, notices, RecordingArchive(state / "kept" / "recordings"))
         await serve(black_box.pages, names.RECORDINGS_PORT, host="127.0.0.1")
         readership = RobotReaders(view, observer, notices, address)
@@ -161,7 +164,10 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         group.create_task(meter.run())
         group.create_task(diagnostics.run())
         group.create_task(black_box.run())
-        group.create_task(readership.run())
+        if reports is not None:
+            group.create_task(MuxOrders(client, view, observer.graph, reports).run())
+        else:
+            group.create_task(readership.run())
         group.create_task(DeafnessWatch(fleet, gate, agents, observer, EndedFor(state / "deaf-for"), notices).run())
         socket = Path(os.environ.get("UNDERSTUDY_TASKS_SOCKET", f"{names.TASKS_DIR}/{names.TASKS_SOCKET}"))
         group.create_task(ActionProxyLink(socket, view, fleet, gate, agents, notices).run())

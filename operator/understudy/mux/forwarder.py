@@ -65,6 +65,8 @@ class Forwarder:
         self._since = clock()
         self._first = math.nan
         self._forwarded = 0
+        self._begun: set[str] = set()
+        """The outputs of the present instance that were forwarded."""
         self._nonce = self._refused = ""
         self.changed = True
         """Whether a report is due because something changed."""
@@ -73,9 +75,13 @@ class Forwarder:
         """Take what arrived, and carry out a standing order that is due. Call it when something arrives, and at :attr:`due_at`."""
         now = self._clock()
         for route in self._routes:
-            self._forwarded += route.drain(self._judging(route.output, now))
+            if forwarded := route.drain(self._judging(route.output, now)):
+                self._forwarded += forwarded
+                if route.output not in self._begun:
+                    self._begun.add(route.output)
+                    self.changed = True
         if self._forwarded and math.isnan(self._first):
-            self._first, self.changed = now, True
+            self._first = now
         if (found := switched(self.control, self._heard, now)) is not None:
             former = self.control.source
             try:
@@ -148,7 +154,7 @@ class Forwarder:
         """Keep a control before it has any effect. Raises OSError."""
         self._journal.save(control)
         if control.source != self.control.source:
-            self._since, self._first, self._forwarded = now, math.nan, 0
+            self._since, self._first, self._forwarded, self._begun = now, math.nan, 0, set()
         self.control, self.changed = control, True
 
     def _judging(self, output: str, now: float) -> Callable[[bytes], bool]:

@@ -48,8 +48,8 @@ def main(argv: list[str]) -> int:
     """
     json_logs.configure(os.environ.get("UNDERSTUDY_LOG_LEVEL", "INFO"))
     try:
-        namespace, workload = os.environ["UNDERSTUDY_NAMESPACE"], os.environ["UNDERSTUDY_WORKLOAD"]
-        outputs = TypeAdapter(list[Output]).validate_json(os.environ["UNDERSTUDY_OUTPUTS"])
+        namespace, workload = os.environ[names.NAMESPACE_VARIABLE], os.environ[names.WORKLOAD_VARIABLE]
+        outputs = TypeAdapter(list[Output]).validate_json(os.environ[names.OUTPUTS_VARIABLE])
         token = Path(os.environ["UNDERSTUDY_TOKEN_FILE"]).read_bytes()
     except (KeyError, ValueError, OSError) as error:
         print(

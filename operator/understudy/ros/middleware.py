@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 if TYPE_CHECKING:
-    from understudy.api.kinds.robot_workload import Output, Reflex, Ros
+    from understudy.api.kinds.robot_workload import Gate, Output, Ros
     from understudy.api.kinds.task_spec import Task
 
 
@@ -74,16 +74,18 @@ class Middleware(ABC):
         """
 
     @abstractmethod
-    def robot_settings(self, outputs: Iterable[Output], reflex: Reflex | None = None) -> str:
-        """Return the settings file of the robot's processes and of the monitor.
+    def robot_settings(self, outputs: Iterable[Output], gate: Gate) -> str:
+        """Return the settings file of the robot's processes. Raises ValueError as :meth:`gate_ports` does."""
+
+    @abstractmethod
+    def monitor_settings(self, outputs: Iterable[Output], gate: Gate) -> str:
+        """Return the settings file of the monitor, which receives what the robot receives, or what a mux receives for it.
 
         Raises ValueError as :meth:`gate_ports` does.
         """
 
     @abstractmethod
-    def instance_settings(
-        self, tasks: Iterable[Task], outputs: Iterable[Output] = (), reflex: Reflex | None = None
-    ) -> str:
+    def instance_settings(self, tasks: Iterable[Task], outputs: Iterable[Output], gate: Gate) -> str:
         """Return the settings file of an instance's processes and of its agent; empty if they need none.
 
         Values that differ between pods are variables (agent/prepare.py).

@@ -68,9 +68,7 @@ def test_a_strength_is_set_before_any_process_starts_and_the_robot_selects_by_it
     )
     pod = instance_pod.build(found.template or {}, recipe)["spec"]
     assert [c["name"] for c in pod["initContainers"]] == [names.INIT_CONTAINER]
-    robot = ros_environment.config_maps("w", {}, found.outputs, found.gate.reflex)[1]["data"][
-        ros_environment.PROFILES_KEY
-    ]
+    robot = ros_environment.config_maps("w", {}, found.outputs, found.gate)[1]["data"][ros_environment.PROFILES_KEY]
     assert "<kind>EXCLUSIVE</kind>" in robot
 
 

@@ -90,7 +90,9 @@ async def test_a_standby_is_admitted_without_a_new_epoch_until_the_next_commit(k
     await gate.create()
     await gate.commit("a")
     admitted = await gate.admit("b")
-    assert (set(kind.let_through(admitted)), GateRecord.of(admitted).epoch) == ({"a", "b"}, 1)
+    assert (GateRecord.of(admitted).admitted, GateRecord.of(admitted).epoch) == ("b", 1)
+    # A mux switches to the admitted standby by itself, so the gate object lets only the active one through.
+    assert set(kind.let_through(admitted)) == ({"a"} if kind.kind == "Mux" else {"a", "b"})
     assert kind.let_through(await gate.admit("")) == ("a",)
     await gate.admit("b")
     committed = await gate.commit("c")

@@ -183,12 +183,21 @@ class GatePeer(Model):
     """Labels of the pods. Absent or empty: all pods of these namespaces."""
 
 
+@with_rules(
+    (
+        "!has(self.reflex) || self.kind == 'NetworkPolicy'",
+        "reflex needs kind NetworkPolicy: the robot's own readers switch, and with kind Mux they hear only the mux",
+        ".reflex",
+    ),
+)
 class Gate(Model):
     """The gate, which decides which instance can reach the robot."""
 
-    kind: Literal["NetworkPolicy"] = "NetworkPolicy"
+    kind: Literal["NetworkPolicy", "Mux"] = "NetworkPolicy"
     """Kind of gate. NetworkPolicy: NetworkPolicies let only the pods for which the gate is open send to the ports at
-    which the robot reads the outputs (the gated ports). The cluster's network plugin must enforce them."""
+    which the robot reads the outputs (the gated ports). The cluster's network plugin must enforce them. Mux: no
+    instance can reach the robot's nodes, and the process understudy-mux beside them forwards the outputs of the one for
+    which the gate is open. It needs no NetworkPolicies, and the robot's nodes need no DDS profile."""
     robots: list[Cidr] = Field(default_factory=list, max_length=16)
     """CIDRs of the robot and other peers outside the cluster. They must not include pod addresses: pods in these ranges
     could bypass the gate."""
@@ -197,9 +206,14 @@ class Gate(Model):
     in another namespace. Empty: the pods of the workload's own namespace. To allow an instance more, such as a database
     or the Internet, write a NetworkPolicy of your own; it must not include UDP to the gated ports (7950 to 8149)."""
     reflex: Reflex | None = None
-    """Reflex: the gate is also open for one standby of an Executing pool. With DDS exclusive ownership, the robot's own
-    DataReaders switch to this standby if the active instance falls silent, before the monitor acts. Absent: the gate is
-    open only for the active instance. See docs/reflex.md."""
+    """Reflex, only for kind NetworkPolicy: the gate is also open for one standby of an Executing pool. With DDS
+    exclusive ownership, the robot's own DataReaders switch to this standby if the active instance falls silent, before
+    the monitor acts. Absent: the gate is open only for the active instance. See docs/reflex.md."""
+
+    @property
+    def is_at_robot(self) -> bool:
+        """Whether a process beside the robot forwards the outputs, so that the network need not keep instances away."""
+        return self.kind == "Mux"
 
 
 class MonitorSettings(Model):
@@ -275,6 +289,12 @@ class Dependency(Model):
         "gate.reflex and its deadline cannot be changed: running pods and the robot's processes have "
         "already read the old value and would not match the new one. Delete the RobotWorkload, create "
         "it again and restart the robot's processes",
+        ".gate",
+    ),
+    (
+        "(has(self.gate) ? self.gate.kind : 'NetworkPolicy') == (has(oldSelf.gate) ? oldSelf.gate.kind : 'NetworkPolicy')",
+        "gate.kind cannot be changed: running pods and the robot's processes are set up for the old one. Delete the "
+        "RobotWorkload and create it again",
         ".gate",
     ),
     unique("tasks", "action", "tasks contains the same action twice"),

@@ -28,7 +28,7 @@ PROTECTED, NOT_PROTECTED = 0, 1
 
 WORKLOADS, POOLS = "robotworkloads.understudy.dev", "fallbackpools.understudy.dev"
 
-GATES = ",".join(resource.qualified for resource in registry.GATE_RESOURCES)
+GATES = [resource.qualified for resource in registry.GATE_RESOURCES]
 OURS = ["-l", ",".join(f"{key}={value}" for key, value in kube_objects.MANAGED_BY.items())]
 """Selects the objects that the operator created; the gates are among them."""
 
@@ -89,18 +89,21 @@ class _ClusterReader:
         return robots, [pool(item) for item in items if item["kind"] == "FallbackPool"]
 
     def _gates(self) -> Mapping[tuple[str, str], Object]:
-        """Return the gates by namespace and name; none if the user may not read them, which is tried again after a while."""
+        """Return the gates by namespace and name, of all kinds or of the usual one.
+
+        None if the user may not read them, which is tried again after a while.
+        """
         if time.monotonic() < self._refused + REFRESH:
             return {}
-        try:
-            if self._names:
-                found = self.kubectl.find(GATES, *map(names.gate, self._names), *self.where) or {"items": []}
-            else:
-                found = self.kubectl.get(GATES, *OURS, *self.where)
-        except Forbidden:
-            self._refused = time.monotonic()
-            return {}
-        return {_key(item): item for item in found.get("items", [found])}
+        for kinds in (",".join(GATES), GATES[0]):
+            with contextlib.suppress(Forbidden):
+                if self._names:
+                    found = self.kubectl.find(kinds, *map(names.gate, self._names), *self.where) or {"items": []}
+                else:
+                    found = self.kubectl.get(kinds, *OURS, *self.where)
+                return {_key(item): item for item in found.get("items", [found])}
+        self._refused = time.monotonic()
+        return {}
 
 
 def _key(item: Object, name: Callable[[str], str] = str) -> tuple[str, str]:
@@ -127,7 +130,10 @@ def _watch(reader: _ClusterReader, *, wide: bool) -> int:
     taken = terminal.screen(sys.stdout) if screen else contextlib.nullcontext()
     try:
         where = reader.where
-        with taken, reader.kubectl.changes(WORKLOADS, *where, also=[GATES, *OURS, *where]) as changed:
+        with (
+            taken,
+            reader.kubectl.changes(WORKLOADS, *where, also=[[gates, *OURS, *where] for gates in GATES]) as changed,
+        ):
             while True:
                 asked = time.monotonic()
                 try:

@@ -23,7 +23,7 @@ def proxied(spec: RobotWorkloadSpec) -> bool:
 
 def instance_profiles(spec: RobotWorkloadSpec) -> str:
     """Return the DDS profiles of the instances; empty if they need none."""
-    return MIDDLEWARE.instance_settings(spec.tasks if proxied(spec) else [], spec.outputs, spec.gate.reflex)
+    return MIDDLEWARE.instance_settings(spec.tasks if proxied(spec) else [], spec.outputs, spec.gate)
 
 
 def profiles_map(workload: str, profiles: str) -> Object:

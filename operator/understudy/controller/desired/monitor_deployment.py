@@ -51,7 +51,7 @@ def deployment(
     settings: MonitorSettings,
     images: Images,
     environment: Mapping[str, str],
-    profiles: str,
+    profiles: tuple[str, str],
     *,
     gate: str,
     tasks: bool = False,
@@ -59,9 +59,10 @@ def deployment(
     memory_limit: str = "",
     apart_from: str = "",
 ) -> Object:
-    """Return the monitor's Deployment. Its readers have the gated ports, so that it sees what the robot sees.
+    """Return the monitor's Deployment.
 
-    ``profiles`` is the text of the profile file: if it changes, a process that has read it must restart.
+    ``profiles`` are the key and the text of the profile file: if it changes, a process that has read it must restart. Its readers have
+    the gated ports, so that it sees what the robot sees, or are in the partitions that a mux reads.
     ``gate`` is the kind of the workload's gate; ``tasks`` says whether the pod has an action proxy; ``claim`` is the
     PersistentVolumeClaim for kept state. ``memory_limit`` applies if the settings contain no resources; empty for none.
     ``apart_from`` is an instance whose node the monitor avoids more than those of others.
@@ -73,7 +74,7 @@ def deployment(
         names.MONITOR_IMAGE_VARIABLE: settings.image or images.monitor,
         "HOME": STATE_DIR,
         "ROS_LOG_DIR": f"{STATE_DIR}/log",
-        MIDDLEWARE.settings_variable: ros_environment.PROFILES_FILE,
+        MIDDLEWARE.settings_variable: f"{ros_environment.PROFILES_DIR}/{profiles[0]}",
         **MIDDLEWARE.introspecting(environment),
     }
     container: Object = {
@@ -135,7 +136,7 @@ def deployment(
             *shared,
         ],
     }
-    hashes = {names.PROFILES_HASH: digest(profiles)}
+    hashes = {names.PROFILES_HASH: digest(profiles[1])}
     return plan.deployment(names.monitor(workload), labels(workload), hashes, pod)
 
 
@@ -211,7 +212,11 @@ def access(
     whose health it may read. ``gate`` is the kind of its gate.
     """
     source_kind, source_name = source
-    tokens = [names.agent_secret(workload), *(names.pool_secret(pool) for pool in sorted(pools))]
+    tokens = [
+        names.agent_secret(workload),
+        *(names.pool_secret(pool) for pool in sorted(pools)),
+        *gate.secrets(workload),
+    ]
     watch = ["get", "list", "watch"]
     rules = [
         _rule("", ["pods"], [*watch, "patch", "delete"]),

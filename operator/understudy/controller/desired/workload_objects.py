@@ -78,7 +78,7 @@ def plan(observed: Observed, workload_plan: WorkloadPlan, images: Images, fresh:
     for pool in sorted(workload_plan.builts):
         if pool:
             standby_pods.keep(made, observed, workload_plan, pool, fresh)
-    made.writes[:0] = _agent_secret(observed, fresh)
+    made.writes[:0] = [*_agent_secret(observed, fresh), *_mux_secret(observed, spec, fresh)]
     _sweep(made, observed)
     standby_pods.sweep(made, observed)
     return made
@@ -92,6 +92,19 @@ def _agent_secret(observed: Observed, fresh: UniqueValues) -> list[Write]:
         return [Create(SECRETS, ownership.ours(secret, kube_objects.owner("RobotWorkload", workload), workload))]
     patch = ownership.corrected_keys(live, fresh.token, keyed=keyed)
     return [Patch(SECRETS, live, patch)] if patch is not None else []
+
+
+def _mux_secret(observed: Observed, spec: RobotWorkloadSpec, fresh: UniqueValues) -> list[Write]:
+    """Return the write of the token that only the monitor and the mux know. Agents know another one."""
+    name = names.mux(kube_objects.name(observed.workload))
+    if not spec.gate.is_at_robot or ("secrets", name) in observed.owned:
+        return []
+    secret = ownership.agent_secret(name, fresh.token, keyed=False)
+    return [
+        Create(
+            SECRETS, ownership.ours(secret, kube_objects.owner("RobotWorkload", observed.workload), observed.workload)
+        )
+    ]
 
 
 def labels(observed: Observed, workload_plan: WorkloadPlan) -> list[Write]:
@@ -192,7 +205,8 @@ def _configure(made: Plan, observed: Observed, workload_plan: WorkloadPlan, envi
     assert workload_plan.spec is not None
     name = kube_objects.name(observed.workload)
     spec = workload_plan.spec
-    for body in ros_environment.config_maps(name, environment, spec.outputs, spec.gate.reflex):
+    namespace = observed.workload["metadata"]["namespace"]
+    for body in ros_environment.config_maps(name, environment, spec.outputs, spec.gate, namespace):
         made.writes.append(_ours(observed, CONFIG_MAPS, body))
     if workload_plan.profiles:
         made.writes.append(
@@ -207,9 +221,8 @@ def _monitor(
     spec = workload_plan.spec
     assert spec is not None
     name, namespace = kube_objects.name(observed.workload), observed.workload["metadata"]["namespace"]
-    profiles = ros_environment.config_maps(name, environment, spec.outputs, spec.gate.reflex)[1]["data"][
-        ros_environment.PROFILES_KEY
-    ]
+    data = ros_environment.config_maps(name, environment, spec.outputs, spec.gate)[1]["data"]
+    key = ros_environment.MONITOR_KEY if ros_environment.MONITOR_KEY in data else ros_environment.PROFILES_KEY
     live = observed.owned.get((DEPLOYMENTS.plural, names.monitor(name)))
     if workload_plan.policy_problem is not None:
         claim = monitor_deployment.claimed(live)
@@ -225,7 +238,7 @@ def _monitor(
         spec.monitor,
         images,
         environment,
-        profiles,
+        (key, data[key]),
         gate=spec.gate.kind,
         tasks=action_proxy_container.proxied(spec),
         claim=claim,

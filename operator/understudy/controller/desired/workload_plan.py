@@ -11,7 +11,13 @@ from pydantic import ValidationError
 from understudy.api import names
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
-from understudy.controller.desired import action_proxy_container, discovery_server, monitor_memory, reflex_validation
+from understudy.controller.desired import (
+    action_proxy_container,
+    discovery_server,
+    monitor_memory,
+    mux_validation,
+    reflex_validation,
+)
 from understudy.controller.desired.monitor_memory import MonitorMemory
 from understudy.controller.observed import kube_objects, policy_reader, pool_reader, tree_verdicts, workload_reference
 from understudy.controller.observed.observation import Observed
@@ -61,7 +67,7 @@ def evaluate(observed: Observed, images: Images) -> WorkloadPlan:
         return WorkloadPlan(spec=spec, problem=problem, policy_problem=policy)
 
     try:
-        ros_environment.config_maps(name, {}, spec.outputs)
+        ros_environment.config_maps(name, {}, spec.outputs, spec.gate)
     except ValueError as error:
         return refuse(Problem("PortsExhausted", str(error)))
     template, path, stripped = spec.template or {}, "spec.template", frozenset[str]()
@@ -77,6 +83,8 @@ def evaluate(observed: Observed, images: Images) -> WorkloadPlan:
         return refuse(Problem("TemplateInvalid", words))
     if words := reflex_validation.problem(spec, template):
         return refuse(Problem("ReflexUnsafe", words))
+    if words := mux_validation.problem(spec, template):
+        return refuse(Problem("NotMuxable", words))
     service = observed.owned.get(("services", names.discovery(name)))
     address = discovery_server.address(service)
     if spec.ros.discovery.mode == "Managed" and address is None:

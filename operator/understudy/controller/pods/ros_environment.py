@@ -1,11 +1,12 @@
-"""The two ConfigMaps for processes on the robot's side: their environment, and the settings of their ROS middleware."""
+"""The ConfigMaps for processes on the robot's side: their environment, the settings of their ROS middleware, and those of a mux."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 
 from understudy.api import names
-from understudy.api.kinds.robot_workload import Output, Reflex
+from understudy.api.kinds.robot_workload import Gate, Output
 from understudy.controller.plan import config_map
 from understudy.kube.client import Object
 from understudy.ros.rmw import MIDDLEWARE
@@ -15,15 +16,30 @@ PROFILES_KEY = "profiles.xml"
 PROFILES_FILE = f"{PROFILES_DIR}/{PROFILES_KEY}"
 
 
+MONITOR_KEY = "monitor.xml"
+"""The profiles of the monitor, if they differ from those of the robot."""
+
+
 def config_maps(
-    workload: str, environment: Mapping[str, str], outputs: Sequence[Output], reflex: Reflex | None = None
+    workload: str, environment: Mapping[str, str], outputs: Sequence[Output], gate: Gate, namespace: str = ""
 ) -> list[Object]:
-    """Return the ConfigMaps with the environment (``envFrom``) and the profiles (mounted at PROFILES_DIR).
+    """Return the ConfigMaps with the environment (``envFrom``) and the profiles (mounted at PROFILES_DIR), and with what a mux needs.
 
     Raises ValueError if there are not enough gated ports for the outputs.
     """
+    robots, monitors = MIDDLEWARE.robot_settings(outputs, gate), MIDDLEWARE.monitor_settings(outputs, gate)
     variables = {**environment, MIDDLEWARE.settings_variable: PROFILES_FILE}
-    return [
-        config_map(names.robot_env(workload), variables),
-        config_map(names.robot_profiles(workload), {PROFILES_KEY: MIDDLEWARE.robot_settings(outputs, reflex)}),
+    profiles = {PROFILES_KEY: robots} | ({MONITOR_KEY: monitors} if monitors != robots else {})
+    found = [
+        config_map(names.robot_env(workload), dict(environment) if gate.is_at_robot else variables),
+        config_map(names.robot_profiles(workload), profiles),
     ]
+    if gate.is_at_robot:
+        listed = [output.model_dump(mode="json", exclude_none=True, by_alias=True) for output in outputs]
+        settings = {
+            names.NAMESPACE_VARIABLE: namespace,
+            names.WORKLOAD_VARIABLE: workload,
+            names.OUTPUTS_VARIABLE: json.dumps(listed),
+        }
+        found.append(config_map(names.mux(workload), settings))
+    return found

@@ -18,7 +18,7 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Literal, Protocol
 
 from understudy.api import names
 from understudy.api.base import OBJECT_NAME_PATTERN
@@ -86,6 +86,10 @@ class Reach:
     """Addresses and ports of the API server. Only for instances whose agents freeze them while nobody answers."""
 
 
+Report = tuple[Literal["True", "False", "Unknown"], str, str]
+"""Status, reason and message of a condition."""
+
+
 class Proof(Protocol):
     """Evidence of whose packets pass the gate, observed at its far side and not read from the API."""
 
@@ -116,6 +120,17 @@ class Proof(Protocol):
 
         A recovery waits for it, so both times are of the process's clock (understudy.clock).
         """
+
+    def committed(self) -> None:
+        """Note that this monitor has just written the gate object."""
+        return
+
+    def reported(self, active: str) -> Report | None:
+        """Return status, reason and message of the condition GateEnforced, if somebody at the gate reports whom it lets through.
+
+        ``active`` is whom the gate object names. None if only packets show it.
+        """
+        return None
 
 
 class GateKind(ABC):
@@ -221,6 +236,10 @@ class GateKind(ABC):
         """
         through = self.let_through(gate) or ("",)
         return len(through) > 2 or bool(self.routing_repair(gate, workload, *through))
+
+    def secrets(self, workload: str) -> tuple[str, ...]:
+        """Return the names of the Secrets that a monitor reads for this kind."""
+        return ()
 
     def monitor_rules(self, workload: str) -> list[Object]:
         """Return the RBAC rules that let a monitor read and commit its workload's gate, and no other."""

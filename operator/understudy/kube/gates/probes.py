@@ -28,6 +28,7 @@ from understudy.api import names
 from understudy.api.protocol import session_keys
 from understudy.clock import CLOCK, ClockSteps
 from understudy.kube.gates import probe_filter
+from understudy.kube.gates.base import Proof
 
 _logger = logging.getLogger(__name__)
 
@@ -315,7 +316,7 @@ class Arrivals:
             self._arrivals[uid] = deque((min(arrival + step, now) for arrival in arrivals), maxlen=self.MOST)
 
 
-class ProbeReceiver:
+class ProbeReceiver(Proof):
     """Records when each pod's probes arrive.
 
     The times are the kernel's timestamps, so that a busy process does not record them late.

@@ -128,6 +128,8 @@ class GateEnforcement:
     def judge(self, instances: Sequence[Instance]) -> ConditionReport:
         """Judge the gate by the probes of these instances, by the robot's readers, and by the interfaces of all instances."""
         state = self._gate.state
+        if (reported := self._probes.reported(state.active)) is not None:
+            return reported
         last = {i.uid: found for i in instances if (found := self._probes.last(i.uid)) is not None}
         judged = judge(
             instances,

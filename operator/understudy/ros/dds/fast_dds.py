@@ -13,7 +13,7 @@ from understudy.ros.dds.host_ids import HOST, PARTICIPANT, VENDOR, host_id
 from understudy.ros.middleware import Locator, Middleware
 
 if TYPE_CHECKING:
-    from understudy.api.kinds.robot_workload import Output, Reflex, Ros
+    from understudy.api.kinds.robot_workload import Gate, Output, Ros
     from understudy.api.kinds.task_spec import Task
 
 SERVER_VARIABLE = "ROS_DISCOVERY_SERVER"
@@ -76,19 +76,27 @@ class FastDds(Middleware):
 
         return profiles.gate_ports(outputs)
 
-    def robot_settings(self, outputs: Iterable[Output], reflex: Reflex | None = None) -> str:
-        """Return the profiles with a gated port for each reader."""
+    def robot_settings(self, outputs: Iterable[Output], gate: Gate) -> str:
+        """Return the profiles with a gated port for each reader; none with a mux."""
         from understudy.ros.dds import profiles
 
-        return profiles.profiles_xml(outputs, reflex)
+        return profiles.profiles_xml([] if gate.is_at_robot else outputs, gate.reflex)
 
-    def instance_settings(
-        self, tasks: Iterable[Task], outputs: Iterable[Output] = (), reflex: Reflex | None = None
-    ) -> str:
-        """Return the profiles with partitions for tasks, and ownership for outputs with the reflex."""
+    def monitor_settings(self, outputs: Iterable[Output], gate: Gate) -> str:
+        """Return the profiles of the robot; with a mux, those with topics in the partitions of all pods."""
         from understudy.ros.dds import profiles
 
-        return profiles.instance_profiles_xml(tasks, outputs, reflex)
+        if gate.is_at_robot:
+            return profiles.mux_profiles_xml(output for output in outputs if output.topic)
+        return profiles.profiles_xml(outputs, gate.reflex)
+
+    def instance_settings(self, tasks: Iterable[Task], outputs: Iterable[Output], gate: Gate) -> str:
+        """Return the profiles with partitions for tasks and muxed outputs, or with lifespans, and ownership with the reflex."""
+        from understudy.ros.dds import profiles
+
+        if gate.is_at_robot:
+            return profiles.muxed_profiles_xml(outputs, tasks)
+        return profiles.instance_profiles_xml(tasks, outputs, gate.reflex)
 
     def requests(self, output: Output) -> list[str]:
         """Return the DDS topics."""

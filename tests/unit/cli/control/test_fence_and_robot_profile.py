@@ -126,7 +126,7 @@ def test_a_missing_gate_is_reported(stand: FakeKubectl, capsys: pytest.CaptureFi
 def given_out(item: dict[str, Any]) -> list[dict[str, Any]]:
     """What the operator writes for the robot's side."""
     spec = RobotWorkloadSpec.model_validate(item["spec"])
-    maps = ros_environment.config_maps(ROBOT, MIDDLEWARE.environment(spec.ros, "10.96.0.7"), spec.outputs)
+    maps = ros_environment.config_maps(ROBOT, MIDDLEWARE.environment(spec.ros, "10.96.0.7"), spec.outputs, spec.gate)
     return [item, *maps]
 
 

@@ -30,6 +30,8 @@ REPOSITORY = Path(__file__).parents[4]
 LONG = 60.0
 """Seconds that are waited for anything."""
 
+GATES = "networkpolicies.networking.k8s.io,leases.coordination.k8s.io"
+
 
 def test_the_status_shows_the_fleet_on_one_screen(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str], in_the_present: None
@@ -44,7 +46,7 @@ def test_the_status_shows_the_fleet_on_one_screen(
         "--namespace=fleet --context=lab get robotworkloads.understudy.dev,fallbackpools.understudy.dev -o json"
     )
     ours = "-l app.kubernetes.io/managed-by=understudy"
-    assert gates.startswith(f"--namespace=fleet --context=lab get networkpolicies.networking.k8s.io {ours} -o json"), (
+    assert gates.startswith(f"--namespace=fleet --context=lab get {GATES} {ours} -o json"), (
         "and before the robots: what their status tells of isn't under way"
     )
 
@@ -125,7 +127,7 @@ def test_gates_of_selected_robots_are_requested_by_name(
     captured = capsys.readouterr()
     assert expected in captured.out + captured.err, "whether or not the others have a gate"
     gates = " ".join(f"{name}-gate" for name in ["robot-17-navigation", *others])
-    assert stand.asked[0].startswith(f"get networkpolicies.networking.k8s.io {gates} --ignore-not-found -o json")
+    assert stand.asked[0].startswith(f"get {GATES} {gates} --ignore-not-found -o json")
 
 
 def test_without_the_right_to_read_gates_the_status_is_shown(
@@ -293,7 +295,7 @@ def test_robots_can_be_watched_without_the_right_to_read_gates(stand: FakeKubect
         stand.tell([*recovering(began=time.time())[1:]], forbidden=["networkpolicies"])
         watching.until("fleet/robot-17-navigation; deleted")
         assert "Recovering" not in watching.output
-        requests = [line for line in stand.asked if "get networkpolicies" in line and "-o json" in line]
+        requests = [line for line in stand.asked if f"get {GATES}" in line and "-o json" in line]
         assert len(requests) <= 1 + (time.monotonic() - began) // REFRESH, "once is enough for a while"
     finally:
         watching.close()

@@ -167,19 +167,19 @@ class Kubectl:
         return output
 
     @contextlib.contextmanager
-    def changes(self, kind: str, *arguments: str, also: Sequence[str] = ()) -> Iterator[Callable[[float], bool]]:
+    def changes(
+        self, kind: str, *arguments: str, also: Sequence[Sequence[str]] = ()
+    ) -> Iterator[Callable[[float], bool]]:
         """Yield a function that waits up to the given seconds for a change of the objects and returns whether there was
         one.
 
         The function does not say what changed: the caller fetches all objects again. The watch restarts after the API
-        server ends it. ``also`` is the kind and the arguments of an optional second watch, for which the user may lack
-        the permission.
+        server ends it. ``also`` are the kinds and arguments of further watches, for which the user may lack the
+        permission.
         """
 
         watches = [
-            Watch(self.command("get", *asked, "--watch-only", "-o", "name"))
-            for asked in ((kind, *arguments), also)
-            if asked
+            Watch(self.command("get", *asked, "--watch-only", "-o", "name")) for asked in ((kind, *arguments), *also)
         ]
         with waiting(*watches) as wait:
             yield wait

@@ -180,6 +180,7 @@ class GateControl:
                 await _judged_again(progress)
         self._notices.add(GateCommitted(time.monotonic() - asked))
         self._view.gates.put(gate)
+        self._probes.committed()
         self._own = (self._own[0], previous.epoch + 1, recovery)
         self._crash_points.step("after commit")
         state = self.state

@@ -15,6 +15,7 @@ from understudy.api.kinds.robot_workload import Output, RobotWorkloadSpec
 from understudy.clock import CLOCK
 from understudy.failover.interfaces import Gate, Instance, Instances
 from understudy.failover.pinned import PinnedPod
+from understudy.kube.gates.mux_reports import MuxReports
 from understudy.monitor.observe.objects.resource_meter import ResourceMeter
 from understudy.monitor.observe.robot.context_detection import ContextDetection, SituationState
 from understudy.monitor.observe.robot.degraded_tree import BusyReason, DegradedTrees
@@ -51,8 +52,12 @@ POD_CHECK_PERIOD = 0.1
 class HealthObserver:
     """Receives the topics of the health tree, and evaluates the tree."""
 
-    def __init__(self, meter: ResourceMeter | None = None, address: str = "") -> None:
-        """``meter`` measures CPU and memory of the active pod; without it, no leaf can judge them. ``address`` is the IP of this pod."""
+    def __init__(
+        self, meter: ResourceMeter | None = None, address: str = "", forwarding: MuxReports | None = None
+    ) -> None:
+        """``meter`` measures CPU and memory of the active pod; without it, no leaf can judge them. ``address`` is the IP of this pod.
+        With ``forwarding``, a mux reports what reaches the robot; without it, this process receives what the robot receives."""
+        self._forwarding = forwarding
         self.graph = Graph("understudy_monitor")
         self.coming = ArrivalWakeups()
         """Reports messages that must be evaluated when they arrive."""
@@ -228,7 +233,9 @@ class HealthObserver:
         return self._senders.all()
 
     def output_senders(self) -> Sequence[OutputSender]:
-        """Return who sent on each output that is a topic of late, and when last. This pod is left out."""
+        """Return who reached the robot on each output that is a topic of late, and when last. This pod is left out."""
+        if self._forwarding is not None:
+            return [OutputSender(*_parted(text), "", (), time.time()) for text in self._forwarding.strangers]
         hosts = self._senders_by_host()
         unrecognized = hosts.pop(b"", [])
         found: list[OutputSender] = []
@@ -257,8 +264,10 @@ class HealthObserver:
     def callers(self) -> Sequence[Caller]:
         """Return which instances have a client of an output that is a service or an action, by discovery.
 
-        One that serves the output itself is left out: the robot calls it.
+        One that serves the output itself is left out: the robot calls it. None can with a mux, which forwards the calls of one instance.
         """
+        if self._forwarding is not None:
+            return []
         hosts = self._senders_by_host()
         hosts.pop(b"", None)
         found: list[Caller] = []
@@ -389,7 +398,9 @@ class HealthObserver:
         return any(pod in names for names in self._watching.sources.ambiguous)
 
     def outputs(self, fleet: Instances, gate: Gate) -> GatedReaders:
-        """Return the gated readers in the form that the failover protocol uses."""
+        """Return what reaches the robot in the form that the failover protocol uses."""
+        if self._forwarding is not None:
+            return ForwardedOutputs(self, self._watching, fleet, gate, self._forwarding)
         return GatedReaders(self, self._watching, fleet, gate)
 
 
@@ -457,3 +468,47 @@ class GatedReaders:
     def _drain(self) -> None:
         state = self._gate.state
         self._observer.drain(self._fleet.of_workload(), state.active, state.pinned)
+
+
+class ForwardedOutputs(GatedReaders):
+    """The same with a mux: what it forwards reaches the robot, and nothing else."""
+
+    def __init__(
+        self, observer: HealthObserver, watching: TopicWatch, fleet: Instances, gate: Gate, reports: MuxReports
+    ) -> None:
+        super().__init__(observer, watching, fleet, gate)
+        self._reports = reports
+
+    async def first_from(self, instance: Instance, *, since: float) -> float | None:
+        """Wait until the mux has forwarded a sample of each expected topic from the instance, received after ``since``.
+
+        Returns when it forwarded the first one; None if no topic is expected, or none any more.
+        """
+        while True:
+            self._drain()
+            if not self.expected:
+                return None
+            forwarded = self._reports.forwarded(instance.name)
+            if forwarded is not None and forwarded.at >= since:
+                heard = self._reports.heard()
+                if all(heard.get(topic, -math.inf) >= since for topic in self.expected):
+                    return max(since, forwarded.forwarding_since)
+            await asyncio.sleep(CHECK_PERIOD)
+
+    def last_from_others(self, instance: Instance) -> tuple[float, str]:
+        """Return that no sample of another instance is forwarded."""
+        return 0.0, ""
+
+    def period_of_others(self, instance: Instance) -> float:
+        """Return 0, as no sample of another instance is awaited."""
+        return 0.0
+
+    def heard(self) -> Sequence[tuple[float, float]]:
+        """Return when the mux last heard the instance that it forwards, on each output."""
+        return [(at, math.inf) for at in self._reports.heard().values()]
+
+
+def _parted(stranger: str) -> tuple[str, str]:
+    """Return the output and the node of a writer in a report of a mux."""
+    output, _, node = stranger.partition(" by ")
+    return output, node

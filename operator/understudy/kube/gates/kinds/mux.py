@@ -1,0 +1,79 @@
+"""The gate kind ``Mux``: the gate object is a Lease, and a process beside the robot forwards the instance that it names.
+
+All endpoints of the instances' outputs are in DDS partitions of their own, so they cannot reach the robot's nodes, whatever the network
+is. The monitor passes on what the Lease says (understudy.api.protocol.mux_messages).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from understudy.api import names
+from understudy.kube.client import LEASES, Object, Resource
+from understudy.kube.gates.base import GateKind, Reach
+from understudy.kube.gates.mux_reports import MuxReports
+
+
+class MuxGate(GateKind):
+    """Fences at the robot. The network need not enforce anything."""
+
+    kind = "Mux"
+    object_kind = "Lease"
+    resource = LEASES
+
+    def routing(self, workload: str, active: str, admitted: str = "") -> Object:
+        """Return merge patch fields of the holder. An admitted standby is in the record only: the mux may switch to it by itself."""
+        return {"spec": {"holderIdentity": active or None}}
+
+    def let_through(self, gate: Object) -> tuple[str, ...]:
+        """Return the holder."""
+        holder = (gate.get("spec") or {}).get("holderIdentity")
+        return (holder,) if holder else ()
+
+    def routing_repair(self, gate: Object, workload: str, active: str, admitted: str = "") -> Object:
+        """Return merge patch fields of the holder; empty if it is right."""
+        return {} if self.let_through(gate) == ((active,) if active else ()) else self.routing(workload, active)
+
+    def ungateable(self, template: Mapping[str, Any]) -> str:
+        """Return why samples of such pods cannot be attributed; empty if they can."""
+        if (template.get("spec") or {}).get("hostNetwork"):
+            return (
+                "spec.hostNetwork is true: the monitor recognizes the messages of a pod by its address, and such pods have that of their "
+                "node. Set it to false"
+            )
+        return ""
+
+    def ungated(self, pod: Object) -> Mapping[str, tuple[str, ...]]:
+        """Return nothing: the partitions hold on every network."""
+        return {}
+
+    def closed(self, workload: str, reach: Reach, *, epoch: int, fenced: int = 0) -> Object:
+        """Return a Lease without a holder."""
+        record = {names.EPOCH: str(epoch), names.ACTIVE: "", names.ACTIVE_UID: "", names.RECOVERY: ""}
+        record |= {names.FENCED: str(fenced)} if fenced else {}
+        return {
+            "apiVersion": "coordination.k8s.io/v1",
+            "kind": "Lease",
+            "metadata": {"name": names.gate(workload), "annotations": record},
+            "spec": {},
+        }
+
+    def spec_repair(self, gate: Object, workload: str, reach: Reach) -> Object:
+        """Return nothing: a Lease has no rules."""
+        return {}
+
+    def companions(self, workload: str, reach: Reach) -> list[tuple[Resource, Object]]:
+        """Return nothing."""
+        return []
+
+    def secrets(self, workload: str) -> tuple[str, ...]:
+        """Return the Secret with the token that monitor and mux share."""
+        return (names.mux(workload),)
+
+    async def proof(self) -> MuxReports:
+        """Return the reports of the mux, which the monitor receives."""
+        return MuxReports()
+
+
+GATE = MuxGate()

@@ -1,0 +1,164 @@
+"""What the mux at the robot reports, as the evidence of whom the gate lets through.
+
+The monitor passes on what the gate object says, as an order. The mux acknowledges it and reports whom it forwards, so nothing is inferred
+from packets. A report counts if it repeats the nonce of a recent order: an old one that somebody records and sends again does not.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from understudy.api.protocol.mux_messages import Order, Report
+from understudy.clock import CLOCK
+from understudy.kube.gates import base
+
+SILENT = 3.0
+"""Seconds without a report after which the mux counts as gone. It reports once a second."""
+
+NONCES = 16
+"""Orders whose nonces count: the mux may answer an earlier one while the next is under way."""
+
+
+@dataclass(frozen=True)
+class Received:
+    """A report, and when it arrived."""
+
+    report: Report
+    at: float
+    """By the process's clock (understudy.clock)."""
+
+    @property
+    def forwarding_since(self) -> float:
+        """When the mux forwarded the first command of the present instance; infinite if it has not."""
+        return self.at - self.report.since if math.isfinite(self.report.since) else math.inf
+
+
+class MuxReports:
+    """Implements :class:`understudy.kube.gates.base.Proof` for one workload."""
+
+    leak_hint = block_hint = ""
+
+    def __init__(self) -> None:
+        self.latest: Received | None = None
+        self.wanted = asyncio.Event()
+        """Set when the gate object has changed, so that an order is due."""
+        self._ordered: tuple[str, Order] | None = None
+        self._nonces: OrderedDict[str, None] = OrderedDict()
+        self._acknowledged: dict[str, float] = {}
+        self._changed = asyncio.Event()
+        self._began = time.monotonic()
+
+    # -- What the monitor orders and receives ---------------------------------------------------------------------------
+
+    def ordered(self, uid: str, order: Order, nonce: str) -> None:
+        """Note an order that is about to be sent. ``uid`` is that of the instance that it names; empty for nobody."""
+        self._ordered = (uid, order)
+        self._nonces[nonce] = None
+        if len(self._nonces) > NONCES:
+            self._nonces.popitem(last=False)
+
+    def add(self, report: Report) -> None:
+        """Note a report that is authentic, if it answers a recent order."""
+        if report.nonce not in self._nonces:
+            return
+        self.latest = Received(report, CLOCK.now())
+        if (uid := self._driver()) is not None:
+            self._acknowledged[uid] = self.latest.at
+        self._changed.set()
+        self._changed = asyncio.Event()
+
+    def _driver(self) -> str | None:
+        """Return the UID of the instance that is ordered and forwarded; None if the mux has not carried the order out."""
+        if self.latest is None or self._ordered is None:
+            return None
+        (uid, order), report = self._ordered, self.latest.report
+        is_carried_out = report.token >= order.token and report.source == order.source
+        return uid if is_carried_out and uid else None
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether no report has arrived of late."""
+        return self.latest is None or CLOCK.now() - self.latest.at > SILENT
+
+    @property
+    def strangers(self) -> Sequence[str]:
+        """The writers that reach the robot beside the mux, each with its output."""
+        return () if self.latest is None or self.is_silent else self.latest.report.strangers
+
+    def forwarded(self, source: str) -> Received | None:
+        """Return the latest report if the mux forwards commands of an instance by it; None if it does not."""
+        found = self.latest
+        if found is None or found.report.source != source or not found.report.forwarded:
+            return None
+        return found
+
+    def heard(self) -> Mapping[str, float]:
+        """Return when the instance that is forwarded was last heard, by output and the process's clock."""
+        found = self.latest
+        if found is None or not found.report.source:
+            return {}
+        return {output: found.at - age for output, age in found.report.heard.get(found.report.source, {}).items()}
+
+    # -- Proof ------------------------------------------------------------------------------------------------------------
+
+    def trust(self, uid: str, key: bytes) -> None:
+        """Nothing: the mux recognizes instances by their partitions."""
+
+    def trust_unsigned(self, uid: str) -> None:
+        """Nothing, as in :meth:`trust`."""
+
+    def recognizes(self, uid: str) -> bool:
+        """Return True: the mux reports whom it forwards, and nobody else reaches the robot."""
+        return True
+
+    def last(self, uid: str) -> float | None:
+        """Return when the mux last reported that it forwards an instance, in Unix seconds."""
+        at = self._acknowledged.get(uid)
+        return CLOCK.to_system(at) if at is not None else None
+
+    def heard_since(self, time: float) -> Sequence[str]:
+        """Return the UID of the instance that was forwarded since a time (Unix seconds)."""
+        return [uid for uid, at in self._acknowledged.items() if CLOCK.to_system(at) >= time]
+
+    async def wait(self, uid: str, after: float) -> float:
+        """Wait until the mux reports that it forwards an instance as ordered, and return when it did."""
+        while True:
+            changed = self._changed
+            if self._driver() == uid and self.latest is not None and self.latest.at >= after:
+                return self.latest.at
+            await changed.wait()
+
+    def committed(self) -> None:
+        """Let an order be sent at once."""
+        self.wanted.set()
+
+    def reported(self, active: str) -> base.Report:
+        """Return status, reason and message of the condition GateEnforced."""
+        if self.is_silent or self.latest is None:
+            if time.monotonic() - self._began < 2 * SILENT:
+                return "Unknown", "Settling", "No report of the mux has arrived yet."
+            return (
+                "False",
+                "NoMux",
+                "No mux reports at the robot, so nothing that the instances send reaches it. Run understudy-mux beside the robot's drivers "
+                "(docs/mux.md), and check whether its pod and this monitor are in the same ROS domain.",
+            )
+        report = self.latest.report
+        if report.refused:
+            return "False", "OrderRefused", f"The mux at the robot refuses the order of this monitor: {report.refused}."
+        if report.source != active:
+            return "Unknown", "Settling", "The gate has just changed, and the mux has not reported it yet."
+        if report.strangers:
+            return (
+                "False",
+                "BesideTheMux",
+                f"These writers reach the robot beside the mux: {'; '.join(report.strangers)}. A process of an instance without the DDS "
+                "profile of its pod does that, and so does a tool.",
+            )
+        who = f"forwards {active} and nobody else" if active else "forwards nobody"
+        return "True", "ReportedByMux", f"The mux at the robot reports that it {who}."
