@@ -207,6 +207,12 @@ MONITOR_IMAGE_VARIABLE = "UNDERSTUDY_MONITOR_IMAGE"
 WORKLOAD_VARIABLE = "UNDERSTUDY_WORKLOAD"
 """Environment variable of Understudy's own processes with the workload that they serve; empty in unclaimed pods of shared pools."""
 
+STATE_DIR = "/var/lib/understudy"
+"""Where monitors and muxes keep their state."""
+
+MUX_TOKEN_FILE = "/etc/understudy-mux/token"
+"""Where a mux reads its token by default: the Secret :func:`mux` is mounted there."""
+
 NAMESPACE_VARIABLE = "UNDERSTUDY_NAMESPACE"
 """Environment variable of Understudy's own processes with the namespace of the workload."""
 

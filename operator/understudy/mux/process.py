@@ -20,7 +20,7 @@ from understudy.api.kinds.robot_workload import Output
 from understudy.api.protocol.mux_messages import derive, topics
 from understudy.mux.control_journal import ControlJournal
 from understudy.mux.forwarder import Forwarder
-from understudy.process import json_logs
+from understudy.process import cpu_scheduling, json_logs
 
 if TYPE_CHECKING:
     from understudy.ros.actions.forwarded_outputs import Route
@@ -28,13 +28,16 @@ if TYPE_CHECKING:
 
 _logger = logging.getLogger(__name__)
 
-STATE = Path("/var/lib/understudy")
+STATE = Path(names.STATE_DIR)
 
 REPORT_PERIOD = 1.0
 """Seconds between two reports if nothing changes."""
 
 FOLLOW_PERIOD = 0.2
 """Seconds between two looks at the graph."""
+
+MONITOR = "/understudy_monitor"
+"""The node of monitors, which send a policy's safe commands."""
 
 DISCOVERED_WITHIN = 1.0
 """Seconds that discovery has to report the partition of a writer, before it is asked again."""
@@ -43,22 +46,25 @@ DISCOVERED_WITHIN = 1.0
 def main(argv: list[str]) -> int:
     """Run until SIGTERM or SIGINT.
 
-    UNDERSTUDY_NAMESPACE and UNDERSTUDY_WORKLOAD name the workload, UNDERSTUDY_OUTPUTS has its outputs as in its spec, as JSON,
-    UNDERSTUDY_TOKEN_FILE the file with its token, and UNDERSTUDY_ADDRESS this host's address. The environment gives the ROS graph.
+    UNDERSTUDY_NAMESPACE and UNDERSTUDY_WORKLOAD name the workload, and UNDERSTUDY_OUTPUTS has its outputs as in its spec, as JSON.
+    UNDERSTUDY_TOKEN_FILE is the file with its token, UNDERSTUDY_STATE the folder for whom it forwards, and UNDERSTUDY_ADDRESS this host's
+    address, each with a default. The environment gives the ROS graph.
     """
     json_logs.configure(os.environ.get("UNDERSTUDY_LOG_LEVEL", "INFO"))
     try:
         namespace, workload = os.environ[names.NAMESPACE_VARIABLE], os.environ[names.WORKLOAD_VARIABLE]
         outputs = TypeAdapter(list[Output]).validate_json(os.environ[names.OUTPUTS_VARIABLE])
-        token = Path(os.environ["UNDERSTUDY_TOKEN_FILE"]).read_bytes()
+        token = Path(os.environ.get("UNDERSTUDY_TOKEN_FILE", names.MUX_TOKEN_FILE)).read_bytes()
     except (KeyError, ValueError, OSError) as error:
         print(
-            f"understudy mux: set UNDERSTUDY_NAMESPACE, UNDERSTUDY_WORKLOAD, UNDERSTUDY_OUTPUTS and UNDERSTUDY_TOKEN_FILE: {error!r}",
+            "understudy mux: it needs the environment of ConfigMap WORKLOAD-mux, and the token of Secret WORKLOAD-mux in the file "
+            f"{names.MUX_TOKEN_FILE}, or in that of UNDERSTUDY_TOKEN_FILE: {error!r}",
             file=sys.stderr,
         )
         return 2
     state = Path(os.environ.get("UNDERSTUDY_STATE", STATE))
     state.mkdir(parents=True, exist_ok=True)
+    cpu_scheduling.ask_for_short_slices()
     asyncio.run(_run(namespace, workload, outputs, token, state))
     return 0
 
@@ -151,7 +157,9 @@ async def _follow(routes: Sequence[Route], forwarder: Forwarder) -> None:
             # None: discovery has not reported it yet.
             ours = {end.gid: forwarder.instances.get(end.gid) for end in writers}
             strangers |= {
-                f"{route.output} by {end.node or 'an unnamed node'}" for end in writers if ours[end.gid] == ""
+                f"{route.output} by {end.node or 'an unnamed node'}"
+                for end in writers
+                if ours[end.gid] == "" and not end.node.startswith(MONITOR)
             }
             route.follow([gid for gid, instance in ours.items() if instance])
         forwarder.strangers = tuple(sorted(strangers))

@@ -20,7 +20,7 @@ from understudy.kube.gates import registry
 from understudy.kube.gates.base import GateKind
 from understudy.ros.rmw import MIDDLEWARE
 
-STATE_DIR = "/var/lib/understudy"
+STATE_DIR = names.STATE_DIR
 # The request determines the monitor's share of a busy node's processors. In a recovery, the monitor briefly needs more
 # than its average use (15m).
 _REQUESTS = {"cpu": "50m", "memory": "96Mi"}

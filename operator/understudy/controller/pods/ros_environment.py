@@ -37,6 +37,8 @@ def config_maps(
     if gate.is_at_robot:
         listed = [output.model_dump(mode="json", exclude_none=True, by_alias=True) for output in outputs]
         settings = {
+            "HOME": names.STATE_DIR,
+            "ROS_LOG_DIR": f"{names.STATE_DIR}/log",
             names.NAMESPACE_VARIABLE: namespace,
             names.WORKLOAD_VARIABLE: workload,
             names.OUTPUTS_VARIABLE: json.dumps(listed),

@@ -1,0 +1,91 @@
+"""With gate kind Mux, the gate object is a Lease, and instances, monitor and robot get what each of them needs for a mux."""
+
+from __future__ import annotations
+
+import copy
+import json
+from typing import Any
+
+import pytest
+
+from tests.unit.controller.world import TEMPLATE, World, applied, created, hot, policy, workload
+from understudy.api import names
+from understudy.controller.observed import kube_objects
+from understudy.controller.plan import Plan
+from understudy.kube.client import Object
+from understudy.ros.rmw import MIDDLEWARE
+
+PARTITION = "understudy-${UNDERSTUDY_POD}"
+
+
+def plan(**spec: Any) -> Plan:
+    return World(workload(gate={"kind": "Mux"}, **spec), policy("hot"), hot()).plan()
+
+
+def refusal(**spec: Any) -> str:
+    found: Object = World(workload(gate={"kind": "Mux"}, **spec), policy("hot"), hot()).condition("Accepted")
+    assert found["status"] == "False"
+    return str(found["message"])
+
+
+def test_the_gate_object_is_a_lease_and_no_network_policy_restricts_the_instances() -> None:
+    made = plan()
+    (gate,) = created(made, "leases")
+    assert (kube_objects.name(gate), gate["spec"], gate["metadata"]["annotations"][names.ACTIVE]) == ("w-gate", {}, "")
+    assert created(made, "networkpolicies") == []
+    assert set(applied(made, "networkpolicies")) == {"w-control-plane"}
+
+
+def test_instances_are_in_a_partition_and_the_robot_needs_no_profile() -> None:
+    maps = applied(plan(), "configmaps")
+    assert PARTITION in maps["w-instance-profiles"]["data"]["profiles.xml"]
+    assert "profile_name" not in maps["w-robot-profiles"]["data"]["profiles.xml"]
+    assert MIDDLEWARE.settings_variable not in maps["w-robot-env"]["data"]
+    settings = maps["w-mux"]["data"]
+    assert (settings[names.NAMESPACE_VARIABLE], settings[names.WORKLOAD_VARIABLE]) == ("fleet", "w")
+    assert json.loads(settings[names.OUTPUTS_VARIABLE]) == [{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}]
+
+
+def test_the_monitor_reads_the_partitions_and_shares_a_token_with_the_mux_that_no_agent_has() -> None:
+    made = plan()
+    (container,) = applied(made, "deployments")["w-monitor"]["spec"]["template"]["spec"]["containers"]
+    file = next(entry["value"] for entry in container["env"] if entry["name"] == MIDDLEWARE.settings_variable)
+    profiles = applied(made, "configmaps")["w-robot-profiles"]["data"]
+    assert "understudy-*" in profiles[file.rpartition("/")[2]]
+    assert [kube_objects.name(one) for one in created(made, "secrets")] == ["w-agent", "w-mux"]
+    rules = applied(made, "roles")["w-monitor"]["rules"]
+    assert ["w-agent", "w-mux"] in [rule["resourceNames"] for rule in rules if rule["resources"] == ["secrets"]]
+    assert ["w-gate"] in [rule.get("resourceNames") for rule in rules if rule["resources"] == ["leases"]]
+    (pod,) = created(made, "pods")
+    assert "w-mux" not in json.dumps(pod)
+
+
+def test_a_workload_keeps_its_token_of_the_mux() -> None:
+    world = World(workload(gate={"kind": "Mux"}), policy("hot"), hot())
+    (secret,) = (one for one in created(world.plan(), "secrets") if kube_objects.name(one) == "w-mux")
+    world.own(secret)
+    assert "w-mux" not in [kube_objects.name(one) for one in created(world.plan(), "secrets")]
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"hostNetwork": True}, "spec.template.spec.hostNetwork is true"),
+        (
+            {"containers": [{"name": "drive", "env": [{"name": MIDDLEWARE.settings_variable, "value": "/mine.xml"}]}]},
+            "container drive of spec.template sets the environment variable",
+        ),
+    ],
+)
+def test_pods_that_would_reach_the_robot_beside_the_mux_are_refused(changes: Object, expected: str) -> None:
+    template = copy.deepcopy(TEMPLATE)
+    template["spec"] |= changes
+    assert expected in refusal(template=template)
+
+
+def test_the_pods_of_a_referred_controller_are_refused() -> None:
+    from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+    from understudy.controller.desired import mux_validation
+
+    found = workload(gate={"kind": "Mux"}, workloadRef={"kind": "Deployment", "name": "nav"})["spec"]
+    assert "the pods of Deployment nav" in (mux_validation.problem(RobotWorkloadSpec.model_validate(found), {}) or "")

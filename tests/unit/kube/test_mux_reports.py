@@ -1,0 +1,101 @@
+"""What a mux reports shows whom the gate lets through, as long as the reports are fresh."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from dataclasses import replace
+
+import pytest
+
+from understudy.api.protocol.mux_messages import Order, Report, Token
+from understudy.clock import CLOCK
+from understudy.kube.gates import mux_reports
+from understudy.kube.gates.mux_reports import MuxReports
+
+ORDER = Order(1000.0, 5, "w-1")
+REPORT = Report(ORDER.token, "w-1", "n", forwarded=3, since=0.2, heard={"w-1": {"/cmd_vel": 0.05}})
+
+
+def ordered(reports: MuxReports, order: Order = ORDER, nonce: str = "n") -> None:
+    reports.ordered(f"uid of {order.source}" if order.source else "", order, nonce)
+
+
+@pytest.fixture
+def reports() -> MuxReports:
+    found = MuxReports()
+    ordered(found)
+    return found
+
+
+def test_the_instance_that_is_ordered_and_forwarded_has_evidence(reports: MuxReports) -> None:
+    assert reports.last("uid of w-1") is None
+    reports.add(REPORT)
+    last = reports.last("uid of w-1")
+    assert last is not None
+    assert reports.heard_since(last) == ["uid of w-1"]
+    assert reports.reported("w-1")[:2] == ("True", "ReportedByMux")
+
+
+def test_a_report_that_answers_no_recent_order_does_not_count(reports: MuxReports) -> None:
+    reports.add(replace(REPORT, nonce="recorded"))
+    assert reports.latest is None
+    for number in range(mux_reports.NONCES):
+        ordered(reports, nonce=f"later {number}")
+    reports.add(REPORT)
+    assert reports.latest is None
+
+
+async def test_who_waits_is_woken_by_the_report_that_carries_the_order_out(reports: MuxReports) -> None:
+    reports.add(REPORT)
+    began = CLOCK.now()
+    ordered(reports, replace(ORDER, epoch=6, source="w-2"), "later")
+    waiting = asyncio.create_task(reports.wait("uid of w-2", began))
+    await asyncio.sleep(0)
+    reports.add(REPORT)
+    reports.add(replace(REPORT, nonce="later"))
+    await asyncio.sleep(0)
+    assert not waiting.done(), "the mux still forwards the former one"
+    reports.add(replace(REPORT, nonce="later", token=Token(1000.0, 6), source="w-2"))
+    assert await waiting >= began
+
+
+def test_a_switch_of_the_muxs_own_is_no_evidence_for_whom_the_gate_names(reports: MuxReports) -> None:
+    reports.add(replace(REPORT, token=Token(1000.0, 5, 1), source="w-2"))
+    assert reports.last("uid of w-1") is None
+    assert reports.reported("w-1")[0] == "Unknown"
+
+
+def test_a_silent_mux_a_refusal_and_a_stranger_are_reported(
+    reports: MuxReports, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert reports.reported("w-1")[:2] == ("Unknown", "Settling")
+    reports.add(replace(REPORT, refused="the order is of epoch 4"))
+    status, reason, message = reports.reported("w-1")
+    assert (status, reason) == ("False", "OrderRefused")
+    assert "epoch 4" in message
+    reports.add(replace(REPORT, strangers=("/cmd_vel by /teleop",)))
+    status, reason, message = reports.reported("w-1")
+    assert (status, reason) == ("False", "BesideTheMux")
+    assert "/cmd_vel by /teleop" in message
+    monkeypatch.setattr(mux_reports, "SILENT", 0.0)
+    assert reports.reported("w-1")[:2] == ("False", "NoMux")
+    assert reports.strangers == ()
+
+
+def test_a_closed_gate_is_reported_too() -> None:
+    reports = MuxReports()
+    ordered(reports, replace(ORDER, source=""))
+    reports.add(replace(REPORT, source="", forwarded=0, since=math.inf))
+    assert reports.reported("")[1:] == ("ReportedByMux", "The mux at the robot reports that it forwards nobody.")
+    assert reports.heard() == {}
+    assert reports.forwarded("") is None
+
+
+def test_what_is_forwarded_has_times_of_this_process(reports: MuxReports) -> None:
+    reports.add(REPORT)
+    found = reports.forwarded("w-1")
+    assert found is not None
+    assert found.forwarding_since == pytest.approx(found.at - 0.2)
+    assert reports.heard() == {"/cmd_vel": pytest.approx(found.at - 0.05)}
+    assert reports.forwarded("w-2") is None

@@ -1,0 +1,130 @@
+"""A monitor passes on what the gate object says, over real DDS to a real forwarder, and counts only what that reports."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from tests.unit.dds import isolate_discovery
+from tests.unit.kube.memory import MemoryClient
+from tests.unit.monitor.cluster_objects import workload_spec
+from understudy.api import names
+from understudy.api.protocol.mux_messages import derive, topics
+from understudy.clock import CLOCK
+from understudy.kube.client import LEASES, SECRETS, WORKLOADS, Object
+from understudy.kube.gates.base import GateRecord, Reach
+from understudy.kube.gates.mux_reports import MuxReports
+from understudy.kube.gates.registry import KINDS
+from understudy.monitor.act.gate.mux_orders import MuxOrders
+from understudy.monitor.observe.objects.cluster_view import ClusterView
+from understudy.monitor.observe.wakeups import Wakeups
+from understudy.mux.control_journal import ControlJournal
+from understudy.mux.forwarder import Forwarder
+from understudy.ros.actions.text_exchange import TextExchange
+from understudy.ros.runtime.arrival_wakeups import ArrivalWakeups
+from understudy.ros.runtime.graph_node import Graph
+
+pytestmark = pytest.mark.ros
+
+TOKEN = b"token"
+KIND = KINDS["Mux"]
+
+
+class Stand:
+    """A monitor's part, a mux's, and the gate object."""
+
+    def __init__(self, folder: Path, *, token: bytes = TOKEN) -> None:
+        self.client, self.reports = MemoryClient(), MuxReports()
+        self.view = ClusterView(self.client, "fleet", "w", Wakeups(), KIND)
+        self._monitor, self._robot = Graph("understudy_monitor"), Graph("understudy_mux_w")
+        orders, reports = topics("fleet", "w")
+        self._wakeups = ArrivalWakeups()
+        self._exchange = TextExchange(self._robot, self._wakeups, reads=orders, writes=reports)
+        self.mux = Forwarder([], derive(token, "fleet", "w"), ControlJournal(folder / "control.json"))
+
+    async def begin(self) -> None:
+        created = {"name": "w", "namespace": "fleet", "creationTimestamp": "2026-11-28T05:00:00Z"}
+        workload: Object = {"kind": "RobotWorkload", "metadata": created, "spec": workload_spec(gate={"kind": "Mux"})}
+        self.view.workloads.put(await self.client.create(WORKLOADS, "fleet", workload))
+        secret: Object = {"metadata": {"name": names.mux("w")}, "data": {names.TOKEN: base64.b64encode(TOKEN).decode()}}
+        await self.client.create(SECRETS, "fleet", secret)
+        self.view.gates.put(await self.client.create(LEASES, "fleet", KIND.closed("w", Reach(), epoch=4)))
+
+    async def commit(self, name: str, *, noticed: bool = True) -> None:
+        """Open the gate, as this monitor does, or another one of which the watch reports later."""
+        record = self.view.gate_record or GateRecord()
+        patch = KIND.commitment("w", over=record, active=name, active_uid=f"uid of {name}")
+        self.view.gates.put(await KIND.write(self.client, "fleet", "w", patch))
+        if noticed:
+            self.reports.committed()
+
+    async def serve(self) -> None:
+        """Do what the process of a mux does."""
+        while True:
+            for text in self._exchange.received():
+                self.mux.order(text)
+            if self.mux.changed:
+                self._exchange.publish(self.mux.report())
+            await asyncio.sleep(0.01)
+
+    async def until(self, source: str) -> None:
+        async with asyncio.timeout(20):
+            while self.reports.latest is None or self.reports.latest.report.source != source:
+                await asyncio.sleep(0.01)
+
+    def close(self) -> None:
+        self._monitor.close()
+        self._robot.close()
+
+    async def monitor(self) -> None:
+        await MuxOrders(self.client, self.view, self._monitor, self.reports).run()
+
+
+@asynccontextmanager
+async def running(stand: Stand) -> AsyncIterator[None]:
+    await stand.begin()
+    tasks = [asyncio.create_task(stand.monitor()), asyncio.create_task(stand.serve())]
+    try:
+        yield
+        for task in tasks:
+            assert not task.done(), task.result()
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        stand.close()
+
+
+@pytest.fixture(autouse=True)
+def alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    isolate_discovery(monkeypatch)
+
+
+async def test_the_mux_forwards_whom_the_gate_names_and_who_waits_learns_it(tmp_path: Path) -> None:
+    stand = Stand(tmp_path)
+    async with running(stand):
+        await stand.until("")
+        await stand.commit("w-1")
+        began = CLOCK.now()
+        async with asyncio.timeout(20):
+            assert await stand.reports.wait("uid of w-1", began) >= began
+        assert stand.mux.control.source == "w-1"
+        await stand.commit("w-2", noticed=False)
+        await stand.until("w-2")
+        assert stand.reports.reported("w-2")[:2] == ("True", "ReportedByMux")
+
+
+async def test_a_mux_with_another_token_is_not_heard_and_carries_nothing_out(tmp_path: Path) -> None:
+    stand = Stand(tmp_path, token=b"of somebody else")
+    async with running(stand):
+        await stand.commit("w-1")
+        await asyncio.sleep(1.0)
+        assert stand.mux.control.source == ""
+        assert stand.reports.latest is None

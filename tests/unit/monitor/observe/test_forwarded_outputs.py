@@ -1,0 +1,89 @@
+"""With a mux, its reports show what reaches the robot: a sample that an instance sends is none until it is forwarded."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, cast
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from tests.unit.monitor.cluster_objects import parsed_spec
+from tests.unit.monitor.observed_robot import policy_with
+from understudy.api.protocol.mux_messages import Order, Report
+from understudy.clock import CLOCK
+from understudy.failover.interfaces import GateState, Instance
+from understudy.kube.gates.mux_reports import MuxReports
+from understudy.monitor.observe.robot.health_observer import HealthObserver
+
+ORDER = Order(1000.0, 5, "w-1")
+REPORT = Report(
+    ORDER.token, "w-1", "n", forwarded=1, since=0.0, heard={"w-1": {"/cmd_vel": 0.0}, "w-2": {"/cmd_vel": 0.0}}
+)
+INSTANCE, OTHER = Instance("w-1", "uid-1"), Instance("w-2", "uid-2")
+
+
+class Instances:
+    """The instances of the workload."""
+
+    def of_workload(self) -> Sequence[Instance]:
+        return [INSTANCE, OTHER]
+
+
+class Gate:
+    """An open gate."""
+
+    state = GateState(epoch=5, active="w-1", active_uid="uid-1")
+    unanswered_since = None
+
+
+@pytest.fixture
+def reports() -> MuxReports:
+    found = MuxReports()
+    found.ordered("uid-1", ORDER, "n")
+    return found
+
+
+@pytest.fixture
+def observer(reports: MuxReports) -> HealthObserver:
+    made = HealthObserver(forwarding=reports)
+    made.follow(policy_with({"topic": {"name": "/cmd_vel", "gap": "500ms"}}), parsed_spec())
+    return made
+
+
+async def test_an_instance_drives_once_each_expected_output_of_it_was_forwarded(
+    observer: HealthObserver, reports: MuxReports
+) -> None:
+    outputs, began = observer.outputs(cast(Any, Instances()), cast(Any, Gate())), CLOCK.now()
+    waiting = asyncio.create_task(outputs.first_from(INSTANCE, since=began))
+    await asyncio.sleep(0.01)
+    reports.add(replace(REPORT, forwarded=0, since=math.inf))
+    await asyncio.sleep(0.01)
+    reports.add(replace(REPORT, heard={"w-1": {"/lamp": 0.0}}))
+    await asyncio.sleep(0.01)
+    assert not waiting.done(), "the mux has forwarded nothing that is expected"
+    reports.add(REPORT)
+    first = await waiting
+    assert first is not None
+    assert began <= first <= CLOCK.now()
+
+
+async def test_no_other_instance_reaches_the_robot(observer: HealthObserver, reports: MuxReports) -> None:
+    outputs = observer.outputs(cast(Any, Instances()), cast(Any, Gate()))
+    reports.add(REPORT)
+    assert outputs.last_from_others(INSTANCE) == (0.0, "")
+    ((at, interval),) = outputs.heard()
+    assert (at, interval) == (pytest.approx(CLOCK.now(), abs=1.0), math.inf)
+    assert observer.callers() == []
+
+
+async def test_a_writer_beside_the_mux_is_an_unknown_sender(observer: HealthObserver, reports: MuxReports) -> None:
+    reports.add(REPORT)
+    assert observer.output_senders() == []
+    reports.add(replace(REPORT, strangers=("/cmd_vel by /teleop",)))
+    (sender,) = observer.output_senders()
+    assert (sender.topic, sender.name, sender.uid) == ("/cmd_vel", "/teleop", "")
