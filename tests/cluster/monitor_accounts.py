@@ -14,7 +14,7 @@ from tests.support.cluster import Cluster, Object, Refused, account, until
 from understudy.api import names
 from understudy.controller.desired import monitor_deployment
 from understudy.kube.client import Access
-from understudy.kube.gates.base import Reach
+from understudy.kube.gates.base import GateKind, Reach
 from understudy.kube.gates.kinds.network_policy import GATE
 
 MINE, OTHER = "robot-17", "robot-18"
@@ -33,9 +33,10 @@ def create(
     *,
     source: tuple[str, str] = ("Deployment", "nav2"),
     pools: Sequence[str] = ("spare",),
+    kind: GateKind = GATE,
 ) -> str:
-    """Create the account of a workload's monitor and its rights, and return its user name."""
-    for _, item in monitor_deployment.access(workload, source=source, policy="policy", pools=pools):
+    """Create the account of a workload's monitor and its rights, and return its user name. ``kind`` is that of its gate."""
+    for _, item in monitor_deployment.access(workload, source=source, policy="policy", pools=pools, gate=kind):
         item = copy.deepcopy(item)
         for subject in item.get("subjects", ()):
             subject["namespace"] = namespace

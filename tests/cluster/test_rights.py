@@ -75,15 +75,6 @@ def test_the_operator_looks_at_nodes_and_changes_none(cluster: Cluster, operator
         cluster.patch(found, {"spec": {"unschedulable": True}}, user=operator, dry_run=True)
 
 
-def test_the_lease_is_written_in_the_operator_s_namespace_only(
-    cluster: Cluster, namespace: str, release: Release, operator: str
-) -> None:
-    lease: Object = {"apiVersion": "coordination.k8s.io/v1", "kind": "Lease", "metadata": {"name": "rights-tested"}}
-    cluster.create(lease, release.namespace, user=operator, dry_run=True)
-    with pytest.raises(Refused, match='cannot create resource "leases"'):
-        cluster.create(lease, namespace, user=operator, dry_run=True)
-
-
 def _running(name: str) -> Object:
     resources = {"requests": {"cpu": "50m"}, "limits": {"cpu": "100m"}}
     container = {"name": "app", "image": "understudy.invalid/nowhere:1", "resources": resources}

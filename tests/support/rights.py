@@ -32,7 +32,10 @@ OF_ALL = OF_EVERYBODY | {
 }
 """The rights of a monitor to all objects of its namespace, by kind."""
 
-WHO_WAITS = {"networkpolicies.networking.k8s.io": {"list", "watch"}}
+WHO_WAITS = {
+    "networkpolicies.networking.k8s.io": {"list", "watch"},
+    "leases.coordination.k8s.io": {"list", "watch"},
+}
 """Additional rights of a monitor that may have to queue for a pod of a shared pool."""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable
 from typing import Any
 
@@ -12,6 +13,7 @@ from understudy.controller.desired import monitor_deployment
 from understudy.controller.reconcile.executor import RESIZE
 from understudy.controller.runtime import kopf_handlers, resync, watches
 from understudy.kube.client import ENDPOINT_SLICES, EVENTS, LEASES, NODES, PODS, POLICIES, POOLS, WORKLOADS, Resource
+from understudy.kube.gates import registry
 
 Right = tuple[str, str, str]
 """API group, resource and verb."""
@@ -44,12 +46,9 @@ def held(render: Render) -> set[Right]:
 def _granted() -> set[Right]:
     """What the operator grants to monitors of all sorts."""
     found: set[Right] = set()
-    for kind in ("ReplicaSet", "Deployment", "StatefulSet"):
-        roles = [
-            item
-            for k, item in monitor_deployment.access("w", source=(kind, "s"), policy=None, pools=["p"])
-            if k == "Role"
-        ]
+    for kind, gate in itertools.product(("ReplicaSet", "Deployment", "StatefulSet"), registry.KINDS.values()):
+        access = monitor_deployment.access("w", source=(kind, "s"), policy=None, pools=["p"], gate=gate)
+        roles = [item for name, item in access if name == "Role"]
         assert len(roles) == 1
         found |= _rights(roles[0]["rules"])
     return found
@@ -62,7 +61,9 @@ def _used() -> set[Right]:
     for resource, _ in resync.LISTED:
         found |= _each(resource, "get", "list")
         if resource not in (*OURS, NODES):  # what it makes, changes and clears away
-            found |= _each(resource, "create", "patch", "delete")
+            found |= _each(resource, "create", "patch")
+        if resource not in (*OURS, NODES, LEASES):  # a gate of the kind Mux ends with its workload
+            found |= _each(resource, "delete")
     for resource in OURS:
         found.add((resource.group, f"{resource.plural}/status", "patch"))
     found |= _each(EVENTS, "create", "patch")

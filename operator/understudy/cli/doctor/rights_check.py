@@ -68,7 +68,7 @@ OURS = (
     *_each("", "pods/ephemeralcontainers", "patch", "inject partition"),
     *_each("", "pods/log", "get", "inject partition"),
     *_each("", "pods", "create", "doctor"),
-    *_fencing("create delete", "doctor"),
+    *_each(registry.DEFAULT.resource.group, registry.DEFAULT.resource.plural, "create delete", "doctor"),
 )
 """The rights that the verbs of this command need."""
 
@@ -85,7 +85,8 @@ def operators() -> Iterator[Right]:
         ("", "pods", "create patch delete"),
         ("apps", "replicasets", "create patch delete"),
         ("apps", "deployments", "create patch delete"),
-        *((one.group, one.plural, "create patch delete") for one in registry.FENCING_RESOURCES),
+        *((one.group, one.plural, "create patch") for one in registry.FENCING_RESOURCES),
+        (registry.DEFAULT.resource.group, registry.DEFAULT.resource.plural, "delete"),
         ("policy", "poddisruptionbudgets", "create patch delete"),
         ("", "services", "create patch delete"),
         ("", "configmaps", "create patch delete"),

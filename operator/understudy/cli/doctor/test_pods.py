@@ -54,7 +54,7 @@ CHECK_PERIOD = 0.3
 _CONTAINER = "doctor"
 _GATE = registry.DEFAULT
 
-_KINDS = ",".join(["pods", *(resource.plural for resource in registry.FENCING_RESOURCES)])
+_KINDS = f"pods,{_GATE.resource.plural}"
 
 
 @dataclass(frozen=True)
