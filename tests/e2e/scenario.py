@@ -100,9 +100,10 @@ class Robot:
         labels: dict[str, str] | None = None,
         edit: Callable[[Object], None] | None = None,
         workload: str = "robotworkload.yaml",
+        folder: str = "",
     ) -> list[Object]:
-        """The robot's and its workload's manifests under this robot's name."""
-        found = copy.deepcopy(manifest("robot.yaml") + manifest(workload))
+        """The robot's and its workload's manifests under this robot's name; ``folder`` is that of both, if it is another one."""
+        found = copy.deepcopy(manifest(f"{folder}robot.yaml") + manifest(f"{folder}{workload}"))
         text = yaml.safe_dump_all(found).replace("robot-1", self.name)
         found = list(yaml.safe_load_all(text))
         item = next(item for item in found if item["kind"] == "RobotWorkload")

@@ -4,34 +4,59 @@ from __future__ import annotations
 
 from tests.e2e.kubectl import Kubectl
 from tests.e2e.scenario import Robot, eventually, manifest, never, patient
+from tests.e2e.test_strategies import assert_handed_over
 
-MUX = "mux/"
+
+def muxed(kubectl: Kubectl, strategy: str) -> Robot:
+    """Return a robot of the quickstart with a mux, once it is protected."""
+    robot = Robot(kubectl)
+    kubectl.apply(patient(manifest(f"strategies/{strategy}.yaml")))
+    kubectl.apply(robot.objects(policy=f"quickstart-{strategy}", folder="mux/"))
+    robot.wait_protected()
+    return robot
 
 
-def muxed(robot: Robot, policy: str) -> None:
-    """Apply the quickstart with a mux."""
-    robot.kubectl.apply(patient(manifest(f"strategies/{policy.removeprefix('quickstart-')}.yaml")))
-    robot.kubectl.apply(robot.objects(policy=policy, workload="mux/robotworkload.yaml", robot="mux/robot.yaml"))
+def reported(robot: Robot, pod: str) -> bool:
+    """Return whether the mux reports that it forwards a pod."""
+    condition = robot.condition("GateEnforced")
+    return condition.get("reason") == "ReportedByMux" and f"forwards {pod} and nobody else" in condition["message"]
 
 
 def test_a_standby_takes_over_through_the_mux(kubectl: Kubectl) -> None:
-    robot = Robot(kubectl)
-    muxed(robot, "quickstart-executing")
+    robot = muxed(kubectl, "executing")
     first = robot.wait_protected()
-    enforced = robot.condition("GateEnforced")
-    assert (enforced["status"], enforced["reason"]) == ("True", "ReportedByMux"), enforced
-    assert first in enforced["message"]
-    standbys = [pod for pod in robot.pods() if pod != first]
-    assert standbys, "an executing standby publishes all the time"
-    never([c for c in robot.log(tail=400).commands if c.source != first], "commands of a standby")
-    robot.fail(first, "killed")
-    recovery = robot.wait_recovered()
-    assert recovery.strategy == "Fallback/Executing"
-    handover = robot.log(tail=2000).handover(recovery.old, recovery.new, switch=recovery.moments["decided"])
-    never(handover.early, "commands of the standby before the switch")
-    assert handover.overlap == 0
+    eventually(lambda: reported(robot, first), within=30, what="the mux reports whom it forwards", note=robot.describe)
+    assert len(robot.pods()) == 2, "the standby publishes all the time"
+    never([c for c in robot.log().commands if c.source != first], "commands of a standby")
+    policies = {item["metadata"]["name"] for item in kubectl.list("networkpolicies")}
+    assert policies == {"robot-1-drive-control-plane"}, "none restricts the instances"
+    robot.fail(first, "frozen")
+    recovery = robot.wait_recovered(1)
+    assert recovery.strategy == "Fallback/Executing", recovery
+    assert_handed_over(robot, recovery)
     eventually(
-        lambda: recovery.new in robot.condition("GateEnforced")["message"],
-        within=30,
-        what="the mux reports the new one",
+        lambda: reported(robot, recovery.new), within=30, what="the mux reports the new one", note=robot.describe
     )
+
+
+def test_a_held_pod_is_claimed_and_drives_through_the_mux(kubectl: Kubectl) -> None:
+    robot = muxed(kubectl, "uninitialized")
+    first = robot.wait_protected()
+    robot.fail(first, "frozen")
+    recovery = robot.wait_recovered(1)
+    assert recovery.strategy == "Fallback/Uninitialized", recovery
+    assert_handed_over(robot, recovery)
+
+
+def test_a_mux_that_restarts_goes_on_and_its_absence_is_reported(kubectl: Kubectl) -> None:
+    robot = muxed(kubectl, "restart")
+    active = robot.wait_driven()
+    kubectl.shell(robot.robot_pod(), "mux", "kill 1")
+    before = robot.log().commands[-1].received
+    eventually(
+        lambda: any(c.received > before + 2 for c in robot.log(tail=60).of(active)),
+        within=60,
+        what="it is driven again",
+    )
+    assert robot.status()["active"] == active
+    assert robot.status().get("recoveryCount", 0) == 0, "a mux that restarts is no failure of the instance"
