@@ -66,6 +66,23 @@ def test_a_switch_of_the_muxs_own_is_no_evidence_for_whom_the_gate_names(reports
     assert reports.reported("w-1")[0] == "Unknown"
 
 
+def test_a_switch_to_the_admitted_standby_is_a_takeover_with_the_times_of_both(reports: MuxReports) -> None:
+    assert reports.switched("w-1", "w-2") is None
+    reports.add(REPORT)
+    assert reports.switched("w-1", "w-2") is None
+    heard = {"w-1": {"/cmd_vel": 0.4, "/lamp": 0.3}, "w-2": {"/cmd_vel": 0.0}}
+    switch = replace(REPORT, token=Token(1000.0, 5, 1), source="w-2", since=0.1, heard=heard)
+    reports.add(replace(switch, forwarded=0, since=math.inf))
+    assert reports.switched("w-1", "w-2") is None, "the robot has received nothing of it"
+    reports.add(switch)
+    assert reports.latest is not None
+    now = CLOCK.to_system(reports.latest.at)
+    assert reports.switched("w-1", "w-2") == (pytest.approx(now - 0.3), pytest.approx(now - 0.1))
+    assert reports.switched("w-1", "w-3") is None
+    ordered(reports, replace(ORDER, epoch=6, source="w-2"), "later")
+    assert reports.switched("w-1", "w-2") is None, "it is committed"
+
+
 def test_a_silent_mux_a_refusal_and_a_stranger_are_reported(
     reports: MuxReports, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -183,13 +183,6 @@ class GatePeer(Model):
     """Labels of the pods. Absent or empty: all pods of these namespaces."""
 
 
-@with_rules(
-    (
-        "!has(self.reflex) || self.kind == 'NetworkPolicy'",
-        "reflex needs kind NetworkPolicy: the robot's own readers switch, and with kind Mux they hear only the mux",
-        ".reflex",
-    ),
-)
 class Gate(Model):
     """The gate, which decides which instance can reach the robot."""
 
@@ -206,14 +199,19 @@ class Gate(Model):
     in another namespace. Empty: the pods of the workload's own namespace. To allow an instance more, such as a database
     or the Internet, write a NetworkPolicy of your own; it must not include UDP to the gated ports (7950 to 8149)."""
     reflex: Reflex | None = None
-    """Reflex, only for kind NetworkPolicy: the gate is also open for one standby of an Executing pool. With DDS
-    exclusive ownership, the robot's own DataReaders switch to this standby if the active instance falls silent, before
-    the monitor acts. Absent: the gate is open only for the active instance. See docs/reflex.md."""
+    """Reflex: if the active instance falls silent, a standby of an Executing pool takes over before the monitor acts. With
+    kind NetworkPolicy, the gate is also open for that standby, and by DDS exclusive ownership the robot's own DataReaders
+    switch to it. With kind Mux, the mux switches. Absent: only the monitor switches. See docs/reflex.md."""
 
     @property
     def is_at_robot(self) -> bool:
         """Whether a process beside the robot forwards the outputs, so that the network need not keep instances away."""
         return self.kind == "Mux"
+
+    @property
+    def readers_choose(self) -> bool:
+        """Whether the robot's own readers choose between two instances, by the strength of their writers."""
+        return self.reflex is not None and not self.is_at_robot
 
 
 class MonitorSettings(Model):

@@ -17,7 +17,7 @@ from understudy.api.schema.printed_kinds import KINDS, Kind
 from understudy.cli.manifests.check_findings import Finding, Place
 from understudy.cli.manifests.manifest_reader import Manifest, at, items
 from understudy.cli.manifests.schema_validation import validate
-from understudy.controller.desired import reflex_validation
+from understudy.controller.desired import mux_validation, reflex_validation
 from understudy.controller.pods import instance_pod
 from understudy.kube.gates import registry
 from understudy.trees.languages.notations import FORMS, TEXTS, load_health
@@ -218,6 +218,7 @@ def _operator_rules(kind: Kind, spec: Mapping[str, Any]) -> Iterator[Problem]:
                 )
             )
         messages.append(reflex_validation.problem(parsed, parsed.template or {}))
+        messages.append(mux_validation.problem(parsed, parsed.template or {}))
     elif isinstance(parsed, FallbackPoolSpec) and parsed.template is not None:
         messages.append(instance_pod.problem(parsed.template, held=True, path="spec.template"))
     for words in messages:

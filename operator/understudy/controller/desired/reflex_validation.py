@@ -13,7 +13,7 @@ from understudy.ros.rmw import MIDDLEWARE
 def problem(spec: RobotWorkloadSpec, template: Mapping[str, Any]) -> str | None:
     """Return why the reflex of a workload is unsafe, and how to correct it; None if it is safe."""
     reflex = spec.gate.reflex
-    if reflex is None:
+    if reflex is None or spec.gate.is_at_robot:
         return None
     if spec.workload_ref is not None:
         return (

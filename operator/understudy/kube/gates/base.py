@@ -125,6 +125,13 @@ class Proof(Protocol):
         """Note that this monitor has just written the gate object."""
         return
 
+    def switched(self, active: str, admitted: str) -> tuple[float, float] | None:
+        """Return when somebody at the gate last heard the active instance and first let the admitted one through instead, in Unix seconds.
+
+        None if nobody there has switched.
+        """
+        return None
+
     def reported(self, active: str) -> Report | None:
         """Return status, reason and message of the condition GateEnforced, if somebody at the gate reports whom it lets through.
 

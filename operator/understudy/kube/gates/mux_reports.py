@@ -137,6 +137,17 @@ class MuxReports:
         """Let an order be sent at once."""
         self.wanted.set()
 
+    def switched(self, active: str, admitted: str) -> tuple[float, float] | None:
+        """Return when the mux last heard the active instance, and when it first forwarded the admitted one by its standing order."""
+        found = self.latest
+        if found is None or self._ordered is None or not found.report.token.count or found.report.source != admitted:
+            return None
+        if found.report.token.epoch != self._ordered[1].epoch or not found.report.forwarded:
+            return None
+        ages = found.report.heard.get(active, {}).values()
+        first = found.forwarding_since
+        return CLOCK.to_system(found.at - min(ages, default=found.at - first)), CLOCK.to_system(first)
+
     def reported(self, active: str) -> base.Report:
         """Return status, reason and message of the condition GateEnforced."""
         if self.is_silent or self.latest is None:

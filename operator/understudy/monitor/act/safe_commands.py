@@ -137,7 +137,7 @@ class SafeCommands:
     def follow(self, safety: Safety | None, spec: RobotWorkloadSpec) -> None:
         """Prepare to publish the safe commands of this policy. Without ``safety``, nothing is published."""
         outputs = [(output.topic, output.type) for output in spec.outputs if output.topic]
-        wanted = (safety, outputs, spec.gate.reflex is not None)
+        wanted = (safety, outputs, spec.gate.readers_choose)
         if wanted == self._followed:
             return
         self._followed = wanted
@@ -148,7 +148,7 @@ class SafeCommands:
         self._after = seconds(safety.after)
         for index, command in enumerate(safety.commands):
             try:
-                type_name = _type(command.topic, outputs, reflex=spec.gate.reflex is not None)
+                type_name = _type(command.topic, outputs, reflex=spec.gate.readers_choose)
                 commander = Commander(self._graph, command.topic, type_name, command.message)
             # rclpy raises RuntimeError if this process already uses the topic with another type, such as in the tree.
             except (TypeNotInstalled, MessageError, _Unusable, RuntimeError) as error:

@@ -1,4 +1,4 @@
-"""Detects whether the robot's readers already follow the standby that the gate lets through beside the active
+"""Detects whether the robot's readers, or the mux beside them, already follow the standby that the gate admits beside the active
 instance."""
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from understudy.api.kinds.robot_workload import Reflex
 from understudy.failover.interfaces import Gate
 from understudy.failover.progress import PodIdentity
 from understudy.failover.reflex import ReflexSwitch, switched
+from understudy.kube.gates.base import Proof
 from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.robot.health_observer import HealthObserver
 
@@ -23,14 +24,20 @@ FAST_CHECKS_FOR = 0.5
 class ReflexTakeover:
     """Detects the reflex takeovers of one workload; there are none if it has no reflex. Times are Unix seconds."""
 
-    def __init__(self, view: ClusterView, gate: Gate, observer: HealthObserver) -> None:
-        self._view, self._gate, self._observer = view, gate, observer
+    def __init__(self, view: ClusterView, gate: Gate, observer: HealthObserver, proof: Proof) -> None:
+        self._view, self._gate, self._observer, self._proof = view, gate, observer, proof
 
     @property
     def reflex(self) -> Reflex | None:
         """The reflex of the workload's spec; None if it has none."""
         spec = self._view.spec
         return spec.gate.reflex if spec is not None else None
+
+    @property
+    def is_at_robot(self) -> bool:
+        """Whether a mux switches, and not the robot's readers."""
+        spec = self._view.spec
+        return spec is not None and spec.gate.is_at_robot
 
     @property
     def topics(self) -> Sequence[str]:
@@ -49,6 +56,10 @@ class ReflexTakeover:
         state = self._gate.state
         if not state.admitted or state.closed or not (deadline := self.deadline):
             return None
+        if self.is_at_robot:
+            moments = self._proof.switched(state.active, state.admitted)
+            standby = PodIdentity(name=state.admitted, uid=state.admitted_uid)
+            return ReflexSwitch(standby, *moments) if moments is not None else None
         if self._observer.ambiguous(state.active) or self._observer.ambiguous(state.admitted):
             return None
         for topic in self.topics:

@@ -16,7 +16,7 @@ from tests.unit.dds import isolate_discovery
 from tests.unit.kube.memory import MemoryClient
 from tests.unit.monitor.cluster_objects import workload_spec
 from understudy.api import names
-from understudy.api.protocol.mux_messages import derive, topics
+from understudy.api.protocol.mux_messages import StandingOrder, derive, topics
 from understudy.clock import CLOCK
 from understudy.kube.client import LEASES, SECRETS, WORKLOADS, Object
 from understudy.kube.gates.base import GateRecord, Reach
@@ -40,7 +40,8 @@ KIND = KINDS["Mux"]
 class Stand:
     """A monitor's part, a mux's, and the gate object."""
 
-    def __init__(self, folder: Path, *, token: bytes = TOKEN) -> None:
+    def __init__(self, folder: Path, *, token: bytes = TOKEN, **gate: object) -> None:
+        self._gate = {"kind": "Mux", **gate}
         self.client, self.reports = MemoryClient(), MuxReports()
         self.view = ClusterView(self.client, "fleet", "w", Wakeups(), KIND)
         self._monitor, self._robot = Graph("understudy_monitor"), Graph("understudy_mux_w")
@@ -51,7 +52,7 @@ class Stand:
 
     async def begin(self) -> None:
         created = {"name": "w", "namespace": "fleet", "creationTimestamp": "2026-11-28T05:00:00Z"}
-        workload: Object = {"kind": "RobotWorkload", "metadata": created, "spec": workload_spec(gate={"kind": "Mux"})}
+        workload: Object = {"kind": "RobotWorkload", "metadata": created, "spec": workload_spec(gate=self._gate)}
         self.view.workloads.put(await self.client.create(WORKLOADS, "fleet", workload))
         secret: Object = {"metadata": {"name": names.mux("w")}, "data": {names.TOKEN: base64.b64encode(TOKEN).decode()}}
         await self.client.create(SECRETS, "fleet", secret)
@@ -119,6 +120,24 @@ async def test_the_mux_forwards_whom_the_gate_names_and_who_waits_learns_it(tmp_
         await stand.commit("w-2", noticed=False)
         await stand.until("w-2")
         assert stand.reports.reported("w-2")[:2] == ("True", "ReportedByMux")
+
+
+async def test_the_admitted_standby_is_the_standing_order(tmp_path: Path) -> None:
+    stand = Stand(tmp_path, reflex={"deadline": "100ms"})
+    async with running(stand):
+        await stand.commit("w-1")
+        await stand.until("w-1")
+        assert stand.mux.control.standing == StandingOrder()
+        record = stand.view.gate_record
+        assert record is not None
+        patch = KIND.admission("w", over=record, admitted="w-2", admitted_uid="uid of w-2")
+        stand.view.gates.put(await KIND.write(stand.client, "fleet", "w", patch))
+        async with asyncio.timeout(20):
+            while stand.mux.control.standing != StandingOrder(("w-2",), {"/cmd_vel": 0.1}):
+                await asyncio.sleep(0.01)
+        await stand.commit("w-2")
+        await stand.until("w-2")
+        assert stand.mux.control.standing == StandingOrder(), "nobody is admitted any more"
 
 
 async def test_a_mux_with_another_token_is_not_heard_and_carries_nothing_out(tmp_path: Path) -> None:

@@ -33,7 +33,9 @@ class World:
         for name, strength in (("w-1", 200), ("w-2", 100)):
             self.add(name, strength)
         self.arrives("w-1", *(NOW - 0.05 * i for i in range(150)))
-        self.takeover = ReflexTakeover(self.objects.view, self.objects.gate, self.senses.observer)
+        self.takeover = ReflexTakeover(
+            self.objects.view, self.objects.gate, self.senses.observer, self.senses.value.probes
+        )
         self.reflexes = ReflexGuard(self.objects.cluster, self.senses.value, self.takeover, self.objects.notices)
 
     def add(self, name: str, *strength: int, claim: str = "") -> None:
@@ -253,3 +255,13 @@ async def test_a_clock_that_is_set_back_does_not_shut_out_a_standby(world: World
     world.now -= 3600
     world.arrives("w-1", *(time - 3600 for time in world.arrivals("w-1")))
     assert await world.keep() == ("True", "Armed")
+
+
+async def test_with_a_mux_a_ready_standby_is_admitted_whatever_the_strength_of_its_writers() -> None:
+    world = World()
+    world.objects.put_workload(gate={"kind": "Mux", "reflex": {"deadline": "100ms"}})
+    for name in ("w-1", "w-2"):
+        world.strength(name)
+    assert await world.keep() == ("True", "Armed")
+    assert world.writes == ["w-2"]
+    assert "The mux switches to w-2 by itself if w-1 is silent for 100 ms" in world.message

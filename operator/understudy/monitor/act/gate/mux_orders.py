@@ -13,9 +13,20 @@ import logging
 import secrets
 
 from understudy.api import moments, names
-from understudy.api.protocol.mux_messages import MuxKeys, Order, Token, derive, order_text, read_report, topics
+from understudy.api.base import seconds
+from understudy.api.protocol.mux_messages import (
+    MuxKeys,
+    Order,
+    StandingOrder,
+    Token,
+    derive,
+    order_text,
+    read_report,
+    topics,
+)
 from understudy.api.protocol.session_keys import NotAuthentic
 from understudy.kube.client import FAILURES, SECRETS, Client
+from understudy.kube.gates.base import GateRecord
 from understudy.kube.gates.mux_reports import MuxReports
 from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.ros.actions.text_exchange import TextExchange
@@ -86,6 +97,15 @@ class MuxOrders:
         self._answered = report.nonce
         self._reports.add(report)
 
+    def _standing(self, record: GateRecord) -> StandingOrder:
+        """Return to whom the mux switches by itself: to the admitted standby, once a topic of the active instance was silent for the
+        deadline of the reflex."""
+        spec = self._view.spec
+        if spec is None or spec.gate.reflex is None or not record.admitted:
+            return StandingOrder()
+        deadline = seconds(spec.gate.reflex.deadline)
+        return StandingOrder((record.admitted,), {o.topic: deadline for o in spec.outputs if o.topic})
+
     def _send(self, exchange: TextExchange, keys: MuxKeys, now: float) -> None:
         """Send an order if the gate object has changed, if the last one was not answered, or if it was a while ago."""
         record, revision = self._view.gate_record, self._view.gates.revision
@@ -97,7 +117,9 @@ class MuxOrders:
             return
         latest = self._reports.latest
         knows = latest.report.token if latest is not None else Token()
-        order, nonce = Order(created, record.epoch, record.active, knows), secrets.token_hex(8)
+        standing, changes = self._standing(record), int(record.version) if record.version.isdigit() else 0
+        order = Order(created, record.epoch, record.active, knows, standing, changes)
+        nonce = secrets.token_hex(8)
         self._reports.ordered(record.active_uid, order, nonce)
         exchange.publish(order_text(order, nonce, keys))
         self._sent = (revision, nonce, now)

@@ -105,17 +105,19 @@ class ReflexGuard:
         if not ready:
             why = "; ".join(f"{i.name}: {self._agents.is_ready(i)[1]}" for i in others) or "none exists"
             return None, ("False", "NoStandby", f"No standby is ready to take over: {why}.")
-        strongest = self._strength(active)
-        if strongest is None:
-            return current, (
-                "Unknown",
-                "StrengthUnknown",
-                f"The agent of {active.name} has not reported the ownership strength of its writers.",
-            )
-        weaker = [i for i in ready if (found := self._strength(i)) is not None and found[1] < strongest[0]]
-        if not weaker:
-            return None, self._too_strong(active, ready, now)
-        self._too_strong_since = None
+        weaker = ready
+        if not self._takeover.is_at_robot:
+            strongest = self._strength(active)
+            if strongest is None:
+                return current, (
+                    "Unknown",
+                    "StrengthUnknown",
+                    f"The agent of {active.name} has not reported the ownership strength of its writers.",
+                )
+            weaker = [i for i in ready if (found := self._strength(i)) is not None and found[1] < strongest[0]]
+            if not weaker:
+                return None, self._too_strong(active, ready, now)
+            self._too_strong_since = None
         if slow := self._too_slow(active):
             return None, ("False", "DeadlineTooShort", slow)
         if pods := [i.name for i in (active, *weaker) if self._observer.ambiguous(i.name)]:
@@ -137,7 +139,7 @@ class ReflexGuard:
                 f"No standby is let through while GateEnforced is False: {enforced[2]}",
             )
         if enforced[0] != "True" or now - self._ready_since[best.uid] < SETTLE:
-            why = f"Waiting for test packets to show that the gate blocks {best.name}."
+            why = f"Waiting for evidence that the gate blocks {best.name}."
             return None, ("Unknown", "GateNotProven", why)
         return best, self._armed(active, best, now)
 
@@ -146,6 +148,9 @@ class ReflexGuard:
         return status.strength if status is not None else None
 
     def _armed(self, active: Instance, standby: Instance, now: float) -> ConditionReport:
+        if self._takeover.is_at_robot:
+            silent = f"{active.name} is silent for {self._takeover.deadline * 1000:g} ms"
+            return "True", "Armed", f"The mux switches to {standby.name} by itself if {silent}."
         since = self._admitted[1]
         if now - since > SILENT and now - max(self._probes.last(standby.uid) or 0.0, since) > SILENT:
             return (
