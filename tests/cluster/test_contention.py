@@ -19,7 +19,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any, cast
 
 import pytest
 
@@ -27,6 +26,7 @@ from tests.cluster.conftest import REPOSITORY, Release
 from tests.cluster.contending import Outcome, contend
 from tests.cluster.operators import CORE, NETWORK, Fleet, leader, policy, process, spare, template, workload
 from tests.support.cluster import Cluster, Object, Refused, until
+from tests.unit.monitor.gates import Packets
 from understudy.api import names
 from understudy.api.base import API_VERSION
 from understudy.failover.interfaces import ClaimLost
@@ -279,7 +279,7 @@ async def failing_again_and_again(
             await view.run(group)
             notices = Notices()
             instances = Instances(client, view, steps, notices)
-            control = GateControl(client, view, instances, cast(Any, None), steps, notices)
+            control = GateControl(client, view, instances, Packets({}), steps, notices)
             while time.monotonic() < until:
                 await instances.refresh_unclaimed("spare")
                 for candidate in instances.unclaimed("spare"):

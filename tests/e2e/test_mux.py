@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from tests.e2e.kubectl import Kubectl
+from tests.e2e.kubectl import Kubectl, Object
 from tests.e2e.scenario import Robot, eventually, manifest, never, patient
 from tests.e2e.test_strategies import assert_handed_over
 
 
-def muxed(kubectl: Kubectl, strategy: str) -> Robot:
+def muxed(kubectl: Kubectl, strategy: str, **gate: Object) -> Robot:
     """Return a robot of the quickstart with a mux, once it is protected."""
     robot = Robot(kubectl)
     kubectl.apply(patient(manifest(f"strategies/{strategy}.yaml")))
-    kubectl.apply(robot.objects(policy=f"quickstart-{strategy}", folder="mux/"))
+    edit = lambda item: item["spec"]["gate"].update(gate)  # noqa: E731
+    kubectl.apply(robot.objects(policy=f"quickstart-{strategy}", folder="mux/", edit=edit))
     robot.wait_protected()
     return robot
 
@@ -60,3 +61,18 @@ def test_a_mux_that_restarts_goes_on_and_its_absence_is_reported(kubectl: Kubect
     )
     assert robot.status()["active"] == active
     assert robot.status().get("recoveryCount", 0) == 0, "a mux that restarts is no failure of the instance"
+
+
+def test_the_mux_switches_to_the_admitted_standby_by_itself(kubectl: Kubectl) -> None:
+    robot = muxed(kubectl, "executing", reflex={"deadline": "200ms"})
+    active = robot.wait_protected()
+    eventually(lambda: robot.condition("Reflex").get("reason") == "Armed", within=60, what="a standby is admitted")
+    robot.fail(active, "frozen")
+    recovery = robot.wait_recovered(1)
+    assert recovery.strategy == "Fallback/Executing (reflex)", recovery
+    handover = robot.log().handover(recovery.old, recovery.new, switch=recovery.moments["first_output"])
+    print(f"\n{recovery.seconds:.3f} s; robot: {handover.to_json()}")
+    assert handover.overlap == 0
+    assert handover.gap is not None
+    assert handover.gap < 0.45, "the deadline, one period of the standby, and what a busy machine needs"
+    eventually(lambda: reported(robot, recovery.new), within=30, what="the switch is committed", note=robot.describe)

@@ -41,6 +41,9 @@ UNDECIDED = 60.0
 REFUSED = 30.0
 """Seconds for which a goal that was accepted once is offered to a new instance that rejects it."""
 
+TOGETHER = 0.3
+"""Seconds within which an application that ends aborts all its goals. A newer goal that continued for longer has replaced the older one."""
+
 KEPT = 900.0
 """Seconds for which the result of an ended goal is available."""
 
@@ -216,21 +219,19 @@ class GoalLedger:
             self._accept(goal, now)
             goal.refused_since = 0.0
         if at is AttemptState.ENDED:
-            end = GoalEnd(status, result)
-            if status == SUCCEEDED or goal.phase is Phase.CANCELING or goal.cancels:
-                self._finish(goal, end, now)
-            else:
-                goal.unasked, goal.unasked_at = end, now
+            self._ended(goal, GoalEnd(status, result), now)
         elif at is AttemptState.REJECTED:
             self._rejected(goal, now)
         elif at is AttemptState.LOST:
             self._orphaned(goal, now)
 
-    def adopt(self, uid: str, id: str, note: str, data: str, ended: tuple[int, str] | None, now: float) -> None:
+    def adopt(
+        self, uid: str, id: str, note: str, data: str, ended: tuple[int, str] | None, now: float, ago: float = 0.0
+    ) -> None:
         """Adopt a goal that the active instance has and that is not known here, because the journal was lost.
 
-        ``ended`` has the status and the result if the goal has ended in the meantime. Raises KeyError, TypeError and
-        ValueError for an invalid note.
+        ``ended`` has the status and the result if the goal has ended in the meantime, ``ago`` seconds before. Raises KeyError, TypeError
+        and ValueError for an invalid note.
         """
         if uid != self._active or not note:
             return
@@ -245,7 +246,10 @@ class GoalLedger:
         if ended is not None:
             goal.attempts[uid].at, goal.attempts[uid].status = AttemptState.ENDED, ended[0]
             self._accept(goal, now)
-            self._finish(goal, GoalEnd(*ended), now)
+            if ended[0] == ABORTED and data:
+                goal.unasked, goal.unasked_at = GoalEnd(*ended), now - ago
+            else:  # an older agent does not give the data of a goal that has ended, so it cannot be sent again
+                self._finish(goal, GoalEnd(*ended), now)
 
     def cancel_answered(self, uid: str, id: str, accepted: bool, now: float) -> None:
         """Record that an instance accepts or refuses to cancel a goal."""
@@ -458,6 +462,15 @@ class GoalLedger:
         if now - goal.refused_since >= REFUSED:
             self._finish(goal, GoalEnd(ABORTED, ""), now)
 
+    def _ended(self, goal: Goal, end: GoalEnd, now: float) -> None:
+        """Handle an end at the instance in charge. An abort may be that of an application that received the signal to end, also of a goal
+        that its client wants to cancel."""
+        is_cancelled = goal.phase is Phase.CANCELING or bool(goal.cancels)
+        if end.status == SUCCEEDED or (is_cancelled and end.status != ABORTED):
+            self._finish(goal, end, now)
+        else:
+            goal.unasked, goal.unasked_at = end, now
+
     def _drop(self, goal: Goal) -> None:
         """Reject a goal for its client."""
         if goal.request is not None:
@@ -495,7 +508,7 @@ class GoalLedger:
             other.action == goal.action
             and other.number > goal.number
             and other.phase is not Phase.PENDING
-            and other.unasked is None
+            and (other.unasked is None or other.unasked_at - goal.unasked_at >= TOGETHER)
             and (other.open or (other.ended_at >= goal.unasked_at and not other.unasked_at))
             for other in self.goals.values()
         )
@@ -530,7 +543,8 @@ class GoalLedger:
             self._finish(goal, goal.unasked, now)
             return
         there = goal.attempts.get(goal.charge)
-        if (goal.cancels or goal.phase is Phase.CANCELING) and (there is None or not there.open):
+        is_cancelled = goal.unasked is None and (bool(goal.cancels) or goal.phase is Phase.CANCELING)
+        if is_cancelled and (there is None or not there.open):
             # No instance has it, so there is nothing to wait for.
             self._finish(goal, GoalEnd(CANCELED, ""), now)
             return

@@ -141,15 +141,15 @@ class Proxy:
 
     def goal_found(self, uid: str, goal: Mapping[str, Any]) -> None:
         """Adopt a goal that the instance has, if it is not known here and has not ended long ago."""
-        ended = None
+        ended, ago = None, float(goal.get("ago", 0.0))
         if goal["state"] == "ended":
-            if goal.get("ago", 0.0) > RECENT:
+            if ago > RECENT:
                 return
             ended = (int(goal["status"]), str(goal["result"]))
         elif goal["state"] not in ("waiting", "running"):
             return
         try:
-            self._ledger.adopt(uid, goal["id"], goal.get("note", ""), goal.get("data", ""), ended, CLOCK.now())
+            self._ledger.adopt(uid, goal["id"], goal.get("note", ""), goal.get("data", ""), ended, CLOCK.now(), ago)
         except (KeyError, TypeError, ValueError) as error:
             _logger.error("goal %s of an earlier proxy cannot be adopted: %r", goal["id"], error)
 

@@ -198,6 +198,36 @@ class TestSwitch:
         world.end("b", goal)
         assert world.results == {goal: (SUCCEEDED, "b")}
 
+    def test_a_goal_that_is_being_cancelled_when_its_application_ends_is_cancelled_at_the_switch(
+        self, world: World
+    ) -> None:
+        goal = world.ask()
+        world.want(goal)
+        world.cancel(goal, work=False)
+        world.end("a", goal, ABORTED)
+        assert world.results == {}
+        world.switch("b")
+        assert world.results == {goal: (CANCELED, "")}
+        assert world.instances["b"].starts == []
+
+    def test_an_abort_of_a_goal_that_is_being_cancelled_is_reported_after_a_delay(self, world: World) -> None:
+        goal = world.ask()
+        world.want(goal)
+        world.cancel(goal, work=False)
+        world.end("a", goal, ABORTED)
+        world.later(2.1)
+        assert world.results == {goal: (ABORTED, "a")}
+
+    def test_a_replaced_goal_is_not_sent_again_although_the_newer_one_was_aborted_later(self, world: World) -> None:
+        first, second = world.ask(), world.ask()
+        world.want(first)
+        world.end("a", first, ABORTED)
+        world.later(0.5)
+        world.end("a", second, ABORTED)
+        world.switch("b")
+        assert world.results == {first: (ABORTED, "a")}
+        assert world.instances["b"].starts == [second]
+
     def test_a_replaced_goal_is_not_sent_again(self, world: World) -> None:
         first, second = world.ask(), world.ask()
         world.want(first)

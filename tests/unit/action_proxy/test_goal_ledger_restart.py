@@ -122,10 +122,26 @@ class TestMissingJournal:
         note = world.ledger.orders("a")[0].note
         world.ledger = GoalLedger()
         world.tell()
-        world.ledger.adopt("a", goal, note, "goal", (ABORTED, "a"), world.now)
+        world.ledger.adopt("a", goal, note, "goal", (ABORTED, "a"), world.now, ago=2.5)
+        world.go()
         world.switch("b")
         assert world.results == {goal: (ABORTED, "a")}
         assert world.instances["b"].starts == []
+
+    def test_a_goal_that_was_aborted_shortly_before_its_instance_is_replaced_continues(self, world: World) -> None:
+        """The application of an instance that is being deleted aborts its goals, before the next proxy connects."""
+        first, second = world.ask(), world.ask()
+        world.want(second)
+        notes = {order.id: order.note for order in world.ledger.orders("a")}
+        world.ledger = GoalLedger()
+        world.tell()
+        world.ledger.adopt("a", first, notes[first], "goal", (ABORTED, "a"), world.now, ago=1.1)
+        world.ledger.adopt("a", second, notes[second], "goal", (ABORTED, "a"), world.now, ago=0.6)
+        world.go()
+        world.switch("b")
+        assert world.instances["b"].starts == [second], "it had replaced the first one"
+        world.end("b", second)
+        assert world.results == {second: (SUCCEEDED, "b")}
 
 
 def test_results_are_kept_within_bounds(world: World) -> None:

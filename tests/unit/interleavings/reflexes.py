@@ -141,6 +141,7 @@ class Reflexive(Simulation):
             and monitors[0].process not in self.network.cut_off
             and robot not in self.mine.apart
             and not self.mine.cuts
+            and not self.network.half_open
             and self.network.weather == Weather()
             and not self.pauses.is_paused(robot)
         )

@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
+from tests.unit.interleavings.commands import Commands
 from tests.unit.interleavings.pod_agents import PodAgent
 from tests.unit.interleavings.pods import Running
 from tests.unit.interleavings.robots import Robots
@@ -68,6 +69,7 @@ class Clients:
     note: Callable[[str], None]
     behind: Callable[[str], bool]
     """Whether a workload's monitor does not know of the last switch."""
+    commands: Commands
     goals: dict[str, Goal] = field(default_factory=dict)
     counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(("sent", "ended", "resumed", "cancelled"), 0))
     _begun: dict[str, dict[str, tuple[PodAgent | None, int]]] = field(default_factory=dict)
@@ -165,7 +167,9 @@ class Clients:
         """An instance begins to work on a goal."""
         known = self.goals[goal]
         self.note(f"{found.name}: works on {goal[:6]}")
-        if not found.through:
+        # The network may still let an instance through that the gate does not name, and its agent may have stood still with an order of
+        # before that switch.
+        if not found.through or (not self.commands.drives(found) and self.commands.may_be_on_the_way(found.robot)):
             return
         by = self._begun.setdefault(goal, {})
         if by.keys() - {found.uid}:

@@ -74,6 +74,7 @@ class Tasked(Simulation):
             broken=self._broken,
             note=self.note,
             behind=lambda workload: any(m.is_behind for m in self.monitors if m.workload == workload),
+            commands=self.invariants.commands,
         )
         passes = network.tcp.open
         network.tcp.open = lambda process, host: (

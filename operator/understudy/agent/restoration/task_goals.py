@@ -55,7 +55,7 @@ MOST_BYTES = wire.MAX_LINE // 2
 MOST_IN_EVENT = (wire.MAX_LINE - 4096) // 4 * 3
 """Bytes of a serialized result or feedback that fit into one event, in base64."""
 
-_UNKNOWN, _CANCELED = 0, 5
+_UNKNOWN, _CANCELED, _ABORTED = 0, 5, 6
 _OPEN = ("waiting", "running")
 
 
@@ -152,10 +152,12 @@ class TaskGoals:
         now, size = time.monotonic(), 0
         goals: builtins.list[Mapping[str, Any]] = []
         for record in sorted(self._records.values(), key=lambda one: (one.state not in _OPEN, -one.ended)):
+            is_aborted = (record.state, record.status) == ("ended", _ABORTED)
             goal = {
                 **record.to_wire(),
                 "note": record.note,
-                "data": base64.b64encode(record.data).decode() if record.state in _OPEN else "",
+                # An aborted goal may have to be sent to another instance.
+                "data": base64.b64encode(record.data).decode() if record.state in _OPEN or is_aborted else "",
                 "ago": now - record.ended if record.ended else 0.0,
             }
             length = len(json.dumps(goal))

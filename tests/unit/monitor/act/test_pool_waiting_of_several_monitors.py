@@ -180,6 +180,9 @@ class Monitor:
         self.gate = GateControl(cluster, self.view, self.fleet, self, steps, self.notices)  # type: ignore[arg-type]
         cluster.monitors.append(self)
 
+    def committed(self) -> None:
+        """No mux waits for an order."""
+
     def hear(self, resource: Resource, item: Object) -> None:
         """What its watches tell it of a write."""
         labels, name = item["metadata"].get("labels") or {}, item["metadata"]["name"]
