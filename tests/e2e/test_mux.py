@@ -70,9 +70,27 @@ def test_the_mux_switches_to_the_admitted_standby_by_itself(kubectl: Kubectl) ->
     robot.fail(active, "frozen")
     recovery = robot.wait_recovered(1)
     assert recovery.strategy == "Fallback/Executing (reflex)", recovery
-    handover = robot.log().handover(recovery.old, recovery.new, switch=recovery.moments["first_output"])
+    handover = robot.log().handover(recovery.old, recovery.new, switch=recovery.moments["firstOutput"])
     print(f"\n{recovery.seconds:.3f} s; robot: {handover.to_json()}")
     assert handover.overlap == 0
     assert handover.gap is not None
     assert handover.gap < 0.45, "the deadline, one period of the standby, and what a busy machine needs"
     eventually(lambda: reported(robot, recovery.new), within=30, what="the switch is committed", note=robot.describe)
+
+
+def test_instances_in_the_network_of_their_node_drive_through_the_mux(kubectl: Kubectl) -> None:
+    robot = Robot(kubectl)
+    kubectl.apply(patient(manifest("strategies/executing.yaml")))
+
+    def edit(item: Object) -> None:
+        item["spec"]["template"]["spec"] |= {"hostNetwork": True, "dnsPolicy": "ClusterFirstWithHostNet"}
+
+    kubectl.apply(robot.objects(policy="quickstart-executing", folder="mux/", edit=edit))
+    first = robot.wait_protected()
+    nodes = {pod["spec"]["nodeName"] for pod in robot.pods() if pod["spec"].get("hostNetwork")}
+    assert len(nodes) == 2, "each on its own node"
+    never([c for c in robot.log().commands if c.source != first], "commands of a standby")
+    robot.fail(first, "frozen")
+    recovery = robot.wait_recovered(1)
+    assert recovery.strategy == "Fallback/Executing", recovery
+    assert_handed_over(robot, recovery)

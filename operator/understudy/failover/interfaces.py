@@ -55,6 +55,8 @@ class Instance:
     name: str
     uid: str
     ip: str = ""
+    shares_address: bool = False
+    """Whether it is in the network of its node, so that other processes there have its address too."""
     pool: str = ""
     """The FallbackPool that created it; empty for pods of the workload's own controller."""
     running: bool = False

@@ -28,7 +28,7 @@ from understudy.kube.gates.mux_reports import MuxReports
 from understudy.kube.kubeconfig import default_access
 from understudy.kube.warm_connections import keep_warm
 from understudy.monitor.act.action_proxy_link import ActionProxyLink
-from understudy.monitor.act.gate.mux_orders import MuxOrders
+from understudy.monitor.act.gate.mux_orders import MuxOrders, ready_names
 from understudy.monitor.act.gate.permits import Permits
 from understudy.monitor.act.instances.state_manager import StateManager
 from understudy.monitor.act.objects.cluster import Cluster
@@ -165,7 +165,10 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         group.create_task(diagnostics.run())
         group.create_task(black_box.run())
         if reports is not None:
-            group.create_task(MuxOrders(client, view, observer.graph, reports).run())
+            group.create_task(observer.follow_writers())
+            group.create_task(
+                MuxOrders(client, view, observer.graph, reports, lambda: ready_names(fleet, agents)).run()
+            )
         else:
             group.create_task(readership.run())
         group.create_task(DeafnessWatch(fleet, gate, agents, observer, EndedFor(state / "deaf-for"), notices).run())

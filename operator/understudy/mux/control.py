@@ -57,7 +57,9 @@ def ordered(control: Control, order: Order) -> Control:
             return control
         return replace(control, standing=order.standing, revision=order.revision)
     is_same_workload = order.workload_created == present.workload_created
-    if is_same_workload and control.token.count and order.knows < control.token:
+    # Nobody is put in control by an order that names nobody, or whom the mux forwards already.
+    undoes = order.source not in ("", control.source)
+    if undoes and is_same_workload and control.token.count and order.knows < control.token:
         raise Refused(
             f"the mux has switched to {_named(control.source)} by itself (switch {control.token.count} of epoch {present.epoch}), which "
             "the order does not take into account"

@@ -30,8 +30,11 @@ class Route(Protocol):
     def output(self) -> str:
         """The name of the output that it belongs to."""
 
-    def drain(self, forwards: Callable[[bytes], bool]) -> int:
+    def drain(self, forwards: Callable[[bytes], bool | None]) -> int:
         """Take what has arrived, and forward what a function accepts by the GID of its writer. Returns the number of commands."""
+
+    def forget(self) -> None:
+        """Drop what is held: another instance is in control from now on."""
 
 
 class Journal(Protocol):
@@ -57,7 +60,7 @@ class Forwarder:
     ) -> None:
         self._routes, self._keys, self._journal, self._clock = tuple(routes), keys, journal, clock
         self.control = journal.load()
-        self.instances: dict[bytes, str] = {}
+        self.instances: Mapping[bytes, str] = {}
         """The instance of each writer that discovery has reported; empty for a writer of no instance."""
         self.strangers: tuple[str, ...] = ()
         """As in the reports."""
@@ -142,6 +145,8 @@ class Forwarder:
                 since,
                 {name: outputs for name, outputs in heard.items() if outputs},
                 self.strangers,
+                control.standing,
+                control.revision,
             ),
             self._keys,
         )
@@ -155,20 +160,22 @@ class Forwarder:
         self._journal.save(control)
         if control.source != self.control.source:
             self._since, self._first, self._forwarded, self._begun = now, math.nan, 0, set()
+            for route in self._routes:
+                route.forget()
         self.control, self.changed = control, True
 
-    def _judging(self, output: str, now: float) -> Callable[[bytes], bool]:
+    def _judging(self, output: str, now: float) -> Callable[[bytes], bool | None]:
         """Return a function that notes a sample of an output by its writer, and returns whether it is forwarded.
 
-        Nothing is forwarded from a writer that discovery has not reported yet.
+        It returns None for a writer that discovery has not reported yet.
         """
         instances: Mapping[bytes, str] = self.instances
         source, last = self.control.source, self._last
 
-        def forwards(writer: bytes) -> bool:
+        def forwards(writer: bytes) -> bool | None:
             name = instances.get(writer)
             if not name:
-                return False
+                return None if name is None else False
             last[name][output] = now
             return name == source
 

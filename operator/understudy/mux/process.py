@@ -7,9 +7,8 @@ import logging
 import math
 import os
 import signal
-import socket
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,9 +37,6 @@ FOLLOW_PERIOD = 0.2
 
 MONITOR = "/understudy_monitor"
 """The node of monitors, which send a policy's safe commands."""
-
-DISCOVERED_WITHIN = 1.0
-"""Seconds that discovery has to report the partition of a writer, before it is asked again."""
 
 
 def main(argv: list[str]) -> int:
@@ -96,7 +92,7 @@ async def _run(namespace: str, workload: str, outputs: Sequence[Output], token: 
 
     loop.add_reader(wakeups.descriptor, arrived)
     _logger.info("mux of %s/%s: %s", namespace, workload, ", ".join(output.name for output in outputs))
-    tasks = [asyncio.create_task(_follow(ways, forwarder)), asyncio.create_task(work.report())]
+    tasks = [asyncio.create_task(_follow(ways, forwarder, work.done)), asyncio.create_task(work.report())]
     stopped = asyncio.create_task(stopping.wait())
     await asyncio.wait([*tasks, stopped], return_when=asyncio.FIRST_COMPLETED)
     for task in tasks:
@@ -143,11 +139,12 @@ class _Work:
                 self.done()
 
 
-async def _follow(routes: Sequence[Route], forwarder: Forwarder) -> None:
-    """Learn whose writers there are, and match the QoS of both sides."""
-    from understudy.ros.rmw import MIDDLEWARE
+async def _follow(routes: Sequence[Route], forwarder: Forwarder, learned: Callable[[], None]) -> None:
+    """Learn whose writers there are, and match the QoS of both sides. ``learned`` is called when discovery has reported new writers."""
+    from understudy.ros.observe.writer_instances import WriterInstances
 
-    address = os.environ.get("UNDERSTUDY_ADDRESS") or _own_address()
+    found = WriterInstances(os.environ.get("UNDERSTUDY_ADDRESS", ""))
+    forwarder.instances = found.names
     while True:
         present: set[bytes] = set()
         strangers: set[str] = set()
@@ -155,7 +152,7 @@ async def _follow(routes: Sequence[Route], forwarder: Forwarder) -> None:
             writers = route.writers()
             present |= {end.gid for end in writers}
             # None: discovery has not reported it yet.
-            ours = {end.gid: forwarder.instances.get(end.gid) for end in writers}
+            ours = {end.gid: found.names.get(end.gid) for end in writers}
             strangers |= {
                 f"{route.output} by {end.node or 'an unnamed node'}"
                 for end in writers
@@ -163,21 +160,8 @@ async def _follow(routes: Sequence[Route], forwarder: Forwarder) -> None:
             }
             route.follow([gid for gid, instance in ours.items() if instance])
         forwarder.strangers = tuple(sorted(strangers))
-        unknown = present - forwarder.instances.keys()
-        if unknown:
-            try:
-                forwarder.instances |= await MIDDLEWARE.instances_of_writers(
-                    unknown, address, os.environ, within=DISCOVERED_WITHIN
-                )
-            except (OSError, ValueError) as error:
-                _logger.warning("discovery cannot be asked whose writers there are: %s", error)
-        for gone in forwarder.instances.keys() - present:
-            del forwarder.instances[gone]
+        known = len(found.names.keys() & present)
+        await found.update(present)
+        if len(found.names) > known:
+            learned()
         await asyncio.sleep(FOLLOW_PERIOD)
-
-
-def _own_address() -> str:
-    """Return the address from which this host sends to others."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probing:
-        probing.connect(("239.255.0.1", 7400))
-        return str(probing.getsockname()[0])

@@ -14,7 +14,8 @@ finding  attack                                       tests
                                                       tests/unit/process/test_tree_checker.py, tests/unit/trees/test_tree_check.py,
                                                       tests/unit/process/test_loop_turns.py
 3        an author uses rights of the operator        strangers/test_authors.py, strangers/test_templates.py
-4        a monitor opens its gate for others          strangers/test_gates.py, strangers/test_pods.py; tests/unit/kube/test_gates.py
+4        a monitor opens its gate for others          strangers/test_gates.py, strangers/test_mux_gates.py,
+                                                      strangers/test_pods.py; tests/unit/kube/test_gates.py
 5        pods reach agents, monitors and metrics      strangers/test_network.py; tests/unit/controller/test_control_plane_policies.py
 5        a pod passes for an instance or a monitor    strangers/test_new_pods.py, strangers/test_controllers.py
 5        floods of connections and datagrams          tests/unit/agent/test_strangers.py, tests/unit/process/test_source_queues.py,

@@ -67,20 +67,23 @@ def test_a_workload_keeps_its_token_of_the_mux() -> None:
     assert "w-mux" not in [kube_objects.name(one) for one in created(world.plan(), "secrets")]
 
 
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
-        ({"hostNetwork": True}, "spec.template.spec.hostNetwork is true"),
-        (
-            {"containers": [{"name": "drive", "env": [{"name": MIDDLEWARE.settings_variable, "value": "/mine.xml"}]}]},
-            "container drive of spec.template sets the environment variable",
-        ),
-    ],
-)
-def test_pods_that_would_reach_the_robot_beside_the_mux_are_refused(changes: Object, expected: str) -> None:
+def test_pods_that_would_reach_the_robot_beside_the_mux_are_refused() -> None:
     template = copy.deepcopy(TEMPLATE)
-    template["spec"] |= changes
-    assert expected in refusal(template=template)
+    template["spec"]["containers"][0]["env"] = [{"name": MIDDLEWARE.settings_variable, "value": "/mine.xml"}]
+    assert "of spec.template sets the environment variable" in refusal(template=template)
+
+
+@pytest.mark.parametrize(
+    "change", [{"spec": {"hostNetwork": True}}, {"metadata": {"annotations": {"k8s.v1.cni.cncf.io/networks": "lab"}}}]
+)
+def test_pods_on_every_network_are_accepted(change: Object) -> None:
+    template = copy.deepcopy(TEMPLATE)
+    template["spec"] |= change.get("spec", {})
+    template["metadata"] = {**template.get("metadata", {}), **change.get("metadata", {})}
+    world = World(workload(gate={"kind": "Mux"}, template=template), policy("hot"), hot())
+    assert world.condition("Accepted")["status"] == "True"
+    refused = World(workload(template=template), policy("hot"), hot())
+    assert refused.condition("Accepted")["status"] == "False"
 
 
 def test_the_pods_of_a_referred_controller_are_refused() -> None:

@@ -329,7 +329,9 @@ class Invariants:
                 if any(self._is_of(workload, pod) for pod in beside):
                     # A standby elsewhere stays beside it: the next own pod may be placed there again.
                     wanted = max(wanted, min(len(standing), wanted + 1))
-                if waiting and len(beside) == len(waiting) and self._could_move(waiting):
+                # None is moved while one of a new template never gets up.
+                rest = len(beside) == len(waiting) and all(self._stands_by(pod) for pod in waiting)
+                if waiting and rest and self._could_move(waiting):
                     yield f"every standby of {workload} in pool {pool} is on the node of the active instance"
                 if len(standing) != wanted and all(self._stands_by(pod) for pod in standing):
                     yield f"pool {pool} has {len(standing)} pods of {workload} instead of {wanted}"

@@ -139,7 +139,7 @@ def test_a_gate_that_opens_before_the_failed_pod_is_fenced_is_detected() -> None
 def test_forgotten_expectations_are_detected() -> None:
     with mock.patch.object(Expectations, "expect"):
         assert found(
-            "free pods, ", SHARED, "understudy_fails", "watch_falls_silent", weather=3.0, within=400, first=207
+            "free pods, ", SHARED, "understudy_fails", "watch_falls_silent", weather=3.0, within=400, first=941
         )
 
 
@@ -268,7 +268,7 @@ def test_safe_commands_over_an_instance_that_drives_are_detected() -> None:
 
 def test_safe_commands_between_two_samples_of_a_slow_driver_are_detected() -> None:
     with mock.patch.object(safe_commands, "HEARD_FOR_MOST", safe_commands.HEARD_FOR):
-        assert any("receives a safe command" in fault for fault in simulation.run(5018).faults)
+        assert any("receives a safe command" in fault for fault in simulation.run(5045).faults)
 
 
 def test_a_recovery_that_stays_at_the_gate_for_ever_is_detected() -> None:

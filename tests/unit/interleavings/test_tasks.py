@@ -66,4 +66,4 @@ def test_a_proxy_that_believes_the_ends_of_an_instance_that_is_gone_is_found() -
             self.connected = Everybody()
 
     with mock.patch.object(goal_journal, "GoalLedger", Credulous):
-        assert any("is aborted" in fault for fault in tasks.run(2_000_265).faults)
+        assert any("is aborted" in fault for fault in tasks.run(2_000_119).faults)

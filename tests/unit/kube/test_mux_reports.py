@@ -66,21 +66,38 @@ def test_a_switch_of_the_muxs_own_is_no_evidence_for_whom_the_gate_names(reports
     assert reports.reported("w-1")[0] == "Unknown"
 
 
-def test_a_switch_to_the_admitted_standby_is_a_takeover_with_the_times_of_both(reports: MuxReports) -> None:
-    assert reports.switched("w-1", "w-2") is None
+def test_a_switch_of_the_muxs_own_is_a_takeover_with_the_times_of_both(reports: MuxReports) -> None:
+    assert reports.switched("w-1") is None
     reports.add(REPORT)
-    assert reports.switched("w-1", "w-2") is None
+    assert reports.switched("w-1") is None
     heard = {"w-1": {"/cmd_vel": 0.4, "/lamp": 0.3}, "w-2": {"/cmd_vel": 0.0}}
     switch = replace(REPORT, token=Token(1000.0, 5, 1), source="w-2", since=0.1, heard=heard)
     reports.add(replace(switch, forwarded=0, since=math.inf))
-    assert reports.switched("w-1", "w-2") is None, "the robot has received nothing of it"
+    assert reports.switched("w-1") is None, "the robot has received nothing of it"
     reports.add(switch)
     assert reports.latest is not None
     now = CLOCK.to_system(reports.latest.at)
-    assert reports.switched("w-1", "w-2") == (pytest.approx(now - 0.3), pytest.approx(now - 0.1))
-    assert reports.switched("w-1", "w-3") is None
+    assert reports.switched("w-1") == ("w-2", pytest.approx(now - 0.3), pytest.approx(now - 0.1))
     ordered(reports, replace(ORDER, epoch=6, source="w-2"), "later")
-    assert reports.switched("w-1", "w-2") is None, "it is committed"
+    assert reports.switched("w-2") is None, "it is committed"
+    assert reports.switched("w-1") is None, "the mux has not answered the last order yet"
+
+
+def test_a_commit_knows_only_the_switches_from_before_it_was_decided(reports: MuxReports) -> None:
+    """The API server is away for long, and the mux switches once more before it carries the commit of the first switch out."""
+    first = replace(REPORT, token=Token(1000.0, 5, 1), source="w-2")
+    reports.add(first)
+    reports.deciding()
+    reports.add(replace(first, token=Token(1000.0, 5, 2), source="w-3"))
+    reports.committed(6)
+    assert reports.known(6) == Token(1000.0, 5, 1)
+    assert reports.known(7) == Token(), "another monitor made that commit"
+    ordered(reports, replace(ORDER, epoch=6, source="w-2"), "later")
+    refusal = "the mux has switched to w-3 by itself"
+    reports.add(replace(first, nonce="later", token=Token(1000.0, 5, 2), source="w-3", refused=refusal))
+    found = reports.switched("w-2")
+    assert found is not None
+    assert found[0] == "w-3", "this is decided next"
 
 
 def test_a_silent_mux_a_refusal_and_a_stranger_are_reported(

@@ -100,6 +100,14 @@ def test_several_failures_without_any_order_are_handled_in_turn() -> None:
     )
 
 
+@pytest.mark.parametrize("source", ["", "w-2"])
+def test_an_order_that_puts_nobody_else_in_control_needs_no_knowledge_of_a_switch(source: str) -> None:
+    local = switched(CONTROL, heard(10.0, w_1=5.0, w_2=0.0), 10.0)
+    assert local is not None
+    after = ordered(local, replace(ORDER, epoch=6, source=source, knows=Token()))
+    assert (after.source, after.token) == (source, Token(1000.0, 6))
+
+
 def test_a_monitor_that_was_cut_off_does_not_undo_a_switch() -> None:
     local = switched(CONTROL, heard(10.0, w_1=5.0, w_2=0.0), 10.0)
     assert local is not None

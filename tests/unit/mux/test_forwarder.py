@@ -26,17 +26,21 @@ class GivenTopic:
 
     def __init__(self) -> None:
         self.arrived: list[bytes] = []
+        self.forgotten = 0
         self.forwarded: list[str] = []
 
     def send(self, *writers: str) -> None:
         self.arrived += [GIDS[writer] for writer in writers]
 
-    def drain(self, forwards: Callable[[bytes], bool]) -> int:
+    def drain(self, forwards: Callable[[bytes], bool | None]) -> int:
         accepted = [gid for gid in self.arrived if forwards(gid)]
         self.arrived.clear()
         names = {gid: name for name, gid in GIDS.items()}
         self.forwarded += [names[gid] for gid in accepted]
         return len(accepted)
+
+    def forget(self) -> None:
+        self.forgotten += 1
 
 
 class Stand:
@@ -86,6 +90,16 @@ def test_what_arrived_before_an_order_is_not_forwarded(stand: Stand) -> None:
     assert stand.topic.forwarded == ["w-1"]
     stand.after(0.0, "w-1", "w-2")
     assert stand.topic.forwarded == ["w-1", "w-2"]
+
+
+def test_what_is_held_of_unknown_writers_is_dropped_when_another_instance_is_put_in_control(stand: Stand) -> None:
+    stand.order(ORDER)
+    assert stand.topic.forgotten == 1
+    stand.order(ORDER, "again")
+    stand.order(replace(ORDER, epoch=6))
+    assert stand.topic.forgotten == 1
+    stand.order(replace(ORDER, epoch=7, source="w-2"))
+    assert stand.topic.forgotten == 2
 
 
 def test_a_writer_that_discovery_has_not_reported_is_not_forwarded(stand: Stand) -> None:

@@ -27,6 +27,8 @@ def of_kind(kind: str) -> list[dict[str, Any]]:
 def test_the_tests_cover_every_file() -> None:
     assert [str(f.relative_to(MANIFESTS)) for f in FILES] == [
         "managed/robotworkload.yaml",
+        "mux/robot.yaml",
+        "mux/robotworkload.yaml",
         "robot.yaml",
         "robotworkload.yaml",
         "strategies/executing.yaml",
@@ -81,13 +83,26 @@ def test_the_robot_mounts_its_profiles_at_the_expected_path() -> None:
     assert mounts["profiles"] == "/etc/understudy"
 
 
+def test_the_mux_of_a_robot_has_what_understudy_writes_for_it_where_it_looks_for_it() -> None:
+    pod = load("mux/robot.yaml")[0]["spec"]["template"]["spec"]
+    (mux,) = (container for container in pod["containers"] if container["name"] == "mux")
+    (workload,) = {w["metadata"]["name"] for w in load("mux/robotworkload.yaml")}
+    maps = {one["configMapRef"]["name"] for one in mux["envFrom"]}
+    assert (mux["args"], maps) == (["mux"], {names.robot_env(workload), names.mux(workload)})
+    mounts = {mount["mountPath"]: mount["name"] for mount in mux["volumeMounts"]}
+    volumes = {volume["name"]: volume for volume in pod["volumes"]}
+    folder = names.MUX_TOKEN_FILE.rpartition("/")[0]
+    assert volumes[mounts[folder]]["secret"]["secretName"] == names.mux(workload)
+    assert names.STATE_DIR in mounts
+
+
 @pytest.mark.parametrize("kind", ["Deployment", "RobotWorkload"])
 def test_commands_use_modules_of_the_image(kind: str) -> None:
     for manifest in of_kind(kind):
         template = manifest["spec"].get("template")
         if template is None:
             continue
-        (container,) = template["spec"]["containers"]
+        container = template["spec"]["containers"][0]
         assert container["command"][:2] == ["python3", "-m"]
         module = container["command"][2].replace(".", "/")
         assert (QUICKSTART / "src" / f"{module}.py").is_file()

@@ -25,8 +25,10 @@ async def main(text: str) -> None:
     instances: dict[bytes, str] = {}
     forwarded, source = 0, ""
 
-    def forwards(writer: bytes) -> bool:
-        return bool(source) and instances.get(writer) == source
+    def forwards(writer: bytes) -> bool | None:
+        if writer not in instances:
+            return None
+        return bool(source) and instances[writer] == source
 
     def drain() -> None:
         nonlocal forwarded
@@ -37,6 +39,10 @@ async def main(text: str) -> None:
         while True:
             for way in ways:
                 way.follow(list(instances))
+            unknown = [end.gid for way in ways for end in way.writers() if end.gid not in instances]
+            if unknown:
+                instances.update(await MIDDLEWARE.instances_of_writers(unknown, "127.0.0.1", os.environ, within=1.0))
+                drain()
             await asyncio.sleep(0.1)
 
     loop = asyncio.get_running_loop()
@@ -47,9 +53,11 @@ async def main(text: str) -> None:
     print("ready", flush=True)
     while wanted := (await lines.readline()).decode():
         while wanted.strip() and wanted.strip() not in instances.values():
-            unknown = [end.gid for way in ways for end in way.writers() if end.gid not in instances]
-            instances |= await MIDDLEWARE.instances_of_writers(unknown, "127.0.0.1", os.environ, within=1.0)
+            await asyncio.sleep(0.1)
         drain()
+        if source != wanted.strip():
+            for way in ways:
+                way.forget()
         source = wanted.strip()
         print(forwarded, flush=True)
     following.cancel()

@@ -56,7 +56,7 @@ class Order:
     source: str
     """The name of the instance to forward; empty for nobody."""
     knows: Token = Token()
-    """The newest token that the monitor has seen in the mux's reports."""
+    """The newest token that the monitor had seen in the mux's reports when it decided this."""
     standing: StandingOrder = StandingOrder()
     revision: int = 0
     """Grows with each standing order of one epoch."""
@@ -105,6 +105,10 @@ class Report:
     """Seconds since the last sample, by instance and output."""
     strangers: tuple[str, ...] = ()
     """Writers of outputs that reach the robot beside the mux, or that belong to no instance, each with its output."""
+    standing: StandingOrder = field(default_factory=StandingOrder)
+    """The standing order that it follows."""
+    revision: int = 0
+    """Of the standing order."""
 
 
 def sealed(message: Mapping[str, Any], key: bytes) -> str:
@@ -162,6 +166,9 @@ def report_text(report: Report, keys: MuxKeys) -> str:
         "since": report.since if math.isfinite(report.since) else None,
         "heard": {name: dict(outputs) for name, outputs in report.heard.items()},
         "strangers": list(report.strangers),
+        "successors": list(report.standing.successors),
+        "silences": dict(report.standing.silences),
+        "revision": report.revision,
     }
     return sealed(message, keys.reports)
 
@@ -178,6 +185,8 @@ def read_report(text: str, keys: MuxKeys) -> Report:
         math.inf if message["since"] is None else message["since"],
         message["heard"],
         tuple(message["strangers"]),
+        StandingOrder(tuple(message["successors"]), message["silences"]),
+        message["revision"],
     )
 
 

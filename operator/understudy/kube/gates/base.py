@@ -121,14 +121,17 @@ class Proof(Protocol):
         A recovery waits for it, so both times are of the process's clock (understudy.clock).
         """
 
-    def committed(self) -> None:
-        """Note that this monitor has just written the gate object."""
+    def deciding(self) -> None:
+        """Note that this monitor begins to commit what it has decided. The commit may take long, and something may happen meanwhile."""
         return
 
-    def switched(self, active: str, admitted: str) -> tuple[float, float] | None:
-        """Return when somebody at the gate last heard the active instance and first let the admitted one through instead, in Unix seconds.
+    def committed(self, epoch: int) -> None:
+        """Note that this monitor has just committed the gate object at an epoch."""
+        return
 
-        None if nobody there has switched.
+    def switched(self, active: str) -> tuple[str, float, float] | None:
+        """Return whom somebody at the gate has put in control instead of the active instance, when that was last heard, and when the other
+        one was first let through, in Unix seconds. None if nobody there has switched.
         """
         return None
 

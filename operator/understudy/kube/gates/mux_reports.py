@@ -13,7 +13,7 @@ from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from understudy.api.protocol.mux_messages import Order, Report
+from understudy.api.protocol.mux_messages import Order, Report, Token
 from understudy.clock import CLOCK
 from understudy.kube.gates import base
 
@@ -48,6 +48,9 @@ class MuxReports:
         self.wanted = asyncio.Event()
         """Set when the gate object has changed, so that an order is due."""
         self._ordered: tuple[str, Order] | None = None
+        self._decided_with = Token()
+        self._known: tuple[int, Token] = (0, Token())
+        """The epoch that this monitor committed last, and the newest token that it knew when it decided that."""
         self._nonces: OrderedDict[str, None] = OrderedDict()
         self._acknowledged: dict[str, float] = {}
         self._changed = asyncio.Event()
@@ -133,20 +136,32 @@ class MuxReports:
                 return self.latest.at
             await changed.wait()
 
-    def committed(self) -> None:
+    def deciding(self) -> None:
+        """Note what this monitor knows of the mux's own switches when it decides."""
+        self._decided_with = self.latest.report.token if self.latest is not None else Token()
+
+    def committed(self, epoch: int) -> None:
         """Let an order be sent at once."""
+        self._known = (epoch, self._decided_with)
         self.wanted.set()
 
-    def switched(self, active: str, admitted: str) -> tuple[float, float] | None:
-        """Return when the mux last heard the active instance, and when it first forwarded the admitted one by its standing order."""
+    def known(self, epoch: int) -> Token:
+        """Return the newest token that was known when the commit of an epoch was decided: none if another monitor made it."""
+        return self._known[1] if self._known[0] == epoch else Token()
+
+    def switched(self, active: str) -> tuple[str, float, float] | None:
+        """Return whom the mux forwards by its standing order, when it last heard the active instance, and when it first forwarded the
+        other one."""
         found = self.latest
-        if found is None or self._ordered is None or not found.report.token.count or found.report.source != admitted:
+        if found is None or self._ordered is None:
             return None
-        if found.report.token.epoch != self._ordered[1].epoch or not found.report.forwarded:
+        report = found.report
+        is_answer = report.token.epoch == self._ordered[1].epoch or bool(report.refused)
+        if not report.token.count or report.source == active or not report.forwarded or not is_answer:
             return None
-        ages = found.report.heard.get(active, {}).values()
-        first = found.forwarding_since
-        return CLOCK.to_system(found.at - min(ages, default=found.at - first)), CLOCK.to_system(first)
+        ages, first = report.heard.get(active, {}).values(), found.forwarding_since
+        last = found.at - min(ages, default=found.at - first)
+        return report.source, CLOCK.to_system(last), CLOCK.to_system(first)
 
     def reported(self, active: str) -> base.Report:
         """Return status, reason and message of the condition GateEnforced."""

@@ -28,7 +28,6 @@ from understudy.api import names
 from understudy.api.protocol import session_keys
 from understudy.clock import CLOCK, ClockSteps
 from understudy.kube.gates import probe_filter
-from understudy.kube.gates.base import Proof
 
 _logger = logging.getLogger(__name__)
 
@@ -316,7 +315,7 @@ class Arrivals:
             self._arrivals[uid] = deque((min(arrival + step, now) for arrival in arrivals), maxlen=self.MOST)
 
 
-class ProbeReceiver(Proof):
+class ProbeReceiver:
     """Records when each pod's probes arrive.
 
     The times are the kernel's timestamps, so that a busy process does not record them late.
@@ -405,6 +404,18 @@ class ProbeReceiver(Proof):
         if not arrivals or arrivals[-1] < time:
             return None
         return arrivals[bisect_left(arrivals, time)]
+
+    def deciding(self) -> None:
+        """Nothing: packets show what passes, whatever was decided."""
+
+    def committed(self, epoch: int) -> None:
+        """Nothing, as in :meth:`deciding`."""
+
+    def switched(self, active: str) -> None:
+        """Return None: nobody switches at the far side of the gate but the robot's own readers."""
+
+    def reported(self, active: str) -> None:
+        """Return None: only packets show whom the gate lets through."""
 
     async def wait(self, uid: str, after: float, within: float | None = None) -> float:
         """Return when the first probe of a pod at or after a time arrived, waiting for one if necessary.

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from understudy.api.base import seconds
 from understudy.api.kinds.robot_workload import Reflex
-from understudy.failover.interfaces import Gate
+from understudy.failover.interfaces import Gate, Instances
 from understudy.failover.progress import PodIdentity
 from understudy.failover.reflex import ReflexSwitch, switched
 from understudy.kube.gates.base import Proof
@@ -24,8 +24,8 @@ FAST_CHECKS_FOR = 0.5
 class ReflexTakeover:
     """Detects the reflex takeovers of one workload; there are none if it has no reflex. Times are Unix seconds."""
 
-    def __init__(self, view: ClusterView, gate: Gate, observer: HealthObserver, proof: Proof) -> None:
-        self._view, self._gate, self._observer, self._proof = view, gate, observer, proof
+    def __init__(self, view: ClusterView, pods: Instances, gate: Gate, observer: HealthObserver, proof: Proof) -> None:
+        self._view, self._pods, self._gate, self._observer, self._proof = view, pods, gate, observer, proof
 
     @property
     def reflex(self) -> Reflex | None:
@@ -54,12 +54,12 @@ class ReflexTakeover:
     def detect(self, now: float) -> ReflexSwitch | None:
         """Return the takeover if the standby that the gate lets through drives the robot now."""
         state = self._gate.state
-        if not state.admitted or state.closed or not (deadline := self.deadline):
+        if state.closed or not (deadline := self.deadline):
             return None
         if self.is_at_robot:
-            moments = self._proof.switched(state.active, state.admitted)
-            standby = PodIdentity(name=state.admitted, uid=state.admitted_uid)
-            return ReflexSwitch(standby, *moments) if moments is not None else None
+            return self._by_mux(state.active)
+        if not state.admitted:
+            return None
         if self._observer.ambiguous(state.active) or self._observer.ambiguous(state.admitted):
             return None
         for topic in self.topics:
@@ -72,6 +72,14 @@ class ReflexTakeover:
             if found is not None:
                 return ReflexSwitch(PodIdentity(name=state.admitted, uid=state.admitted_uid), *found)
         return None
+
+    def _by_mux(self, active: str) -> ReflexSwitch | None:
+        """Return the switch of the mux's own. It may be to another standby than the admitted one, if that was silent too."""
+        if (found := self._proof.switched(active)) is None:
+            return None
+        name, last, first = found
+        standby = next((one for one in self._pods.of_workload() if one.name == name and one.usable), None)
+        return ReflexSwitch(PodIdentity(name=name, uid=standby.uid), last, first) if standby is not None else None
 
     def next_check(self, now: float) -> float | None:
         """Return when to check again, so that a takeover is noticed at once; None if the next tick is early enough."""

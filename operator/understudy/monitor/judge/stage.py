@@ -68,7 +68,7 @@ class JudgeStage:
         """``kept_from`` is the instance from which an earlier monitor kept state."""
         self._pods, self._gate, self._observer = pods, gate, senses.observer
         self.detector = FailureDetector(pods, gate, senses.agents, senses.observer, notices.status.driven_epoch)
-        self.takeover = ReflexTakeover(view, gate, senses.observer, senses.probes)
+        self.takeover = ReflexTakeover(view, pods, gate, senses.observer, senses.probes)
         self.levels = DegradationLevel(senses.observer, notices)
         self.situations = SituationTracking(senses.observer, notices)
         self.unseen_restart = UnseenRestart(senses.observer, kept_from)

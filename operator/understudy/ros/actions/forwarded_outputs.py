@@ -31,11 +31,14 @@ class Route(Protocol):
     def follow(self, instances: Collection[bytes]) -> None:
         """Match the endpoints of both sides as discovery reports them. ``instances`` are the writers of instances, by their GIDs."""
 
-    def drain(self, forwards: Callable[[bytes], bool]) -> int:
+    def drain(self, forwards: Callable[[bytes], bool | None]) -> int:
         """Take what has arrived, and forward what a function accepts by the GID of its writer.
 
-        Returns the number of forwarded commands.
+        The function returns None for a writer that it does not know yet. Returns the number of forwarded commands.
         """
+
+    def forget(self) -> None:
+        """Drop what is held: another instance is in control from now on."""
 
 
 class ReturnedTopic:
@@ -56,10 +59,13 @@ class ReturnedTopic:
         """Match the QoS of the robot's writers and of the instances' readers."""
         self._topic.follow([end.gid for end in self._topic.writers()])
 
-    def drain(self, forwards: Callable[[bytes], bool]) -> int:
+    def drain(self, forwards: Callable[[bytes], bool | None]) -> int:
         """Pass on everything that has arrived."""
         self._topic.drain(lambda gid: True)
         return 0
+
+    def forget(self) -> None:
+        """Nothing is held."""
 
 
 def routes(outputs: Iterable[Output], graph: Graph, wakeups: ArrivalWakeups) -> list[Route]:

@@ -7,6 +7,7 @@ The server of this process is in the partitions of all instances, and its client
 from __future__ import annotations
 
 import logging
+import time
 from collections import OrderedDict
 from collections.abc import Callable, Collection
 from typing import Any
@@ -18,6 +19,10 @@ from understudy.ros.runtime.graph_node import Endpoint, Graph
 from understudy.ros.runtime.service_exchange import RequestId, ServiceExchange, ServiceExchangeError, request_writer
 
 _logger = logging.getLogger(__name__)
+
+HELD = 2.0
+"""Seconds for which a request is held until discovery has reported whose client sent it. It may have begun a moment ago, and would wait for
+a reply in vain."""
 
 PENDING = 1000
 """Requests that wait for the robot's reply. If there are more, the oldest is forgotten."""
@@ -37,6 +42,8 @@ class ForwardedService:
         wakeups.add_client(self._client.handle)
         self._server: Any = None
         self._pending: OrderedDict[int, RequestId] = OrderedDict()
+        self._held: list[tuple[Any, RequestId, float]] = []
+        """Requests of unknown clients, each with the time at which it arrived."""
         self._senders: dict[str, bytes] = {}
         """The writer of each client, by the GUID that its requests have."""
 
@@ -58,22 +65,31 @@ class ForwardedService:
             self._pending.clear()
         self._senders = {client: writer for client, writer in self._senders.items() if writer in instances}
 
-    def drain(self, forwards: Callable[[bytes], bool]) -> int:
+    def drain(self, forwards: Callable[[bytes], bool | None]) -> int:
         """Forward the requests that have arrived, if a function accepts the GID of their writer, and all replies.
 
-        Returns the number of requests. Raises ServiceExchangeError.
+        The function returns None for a writer that it does not know yet. Returns the number of requests. Raises ServiceExchangeError.
         """
         if self._server is None:
             return 0
-        forwarded = 0
+        now, forwarded = time.monotonic(), 0
+        arrived, self._held = self._held, []
         while (taken := self._exchange.take(self._server, self._type.Request)) is not None:
-            request, identity = taken
+            arrived.append((*taken, now))
+        for request, identity, since in arrived:
             writer = self._writer(identity)
-            if writer is not None and forwards(writer):
+            accepted = forwards(writer) if writer is not None else None
+            if accepted:
                 self._send(request, identity)
                 forwarded += 1
+            elif accepted is None and now - since < HELD:
+                self._held.append((request, identity, since))
         self._reply()
         return forwarded
+
+    def forget(self) -> None:
+        """Drop what is held: another instance is in control from now on."""
+        self._held.clear()
 
     def _writer(self, identity: RequestId) -> bytes | None:
         if identity.client not in self._senders:

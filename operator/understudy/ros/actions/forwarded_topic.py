@@ -69,7 +69,7 @@ class ForwardedTopic:
             )
             self._offer = offer
 
-    def drain(self, forwards: Callable[[bytes], bool]) -> int:
+    def drain(self, forwards: Callable[[bytes], bool | None]) -> int:
         """Take all samples that have arrived, and forward those that a function accepts by the GID of their writer. Returns their number.
 
         Raises TakeError and PublishError.
@@ -82,6 +82,9 @@ class ForwardedTopic:
                     self._taker.publish(target)
                     forwarded += 1
         return forwarded
+
+    def forget(self) -> None:
+        """Nothing is held: the next message comes soon."""
 
 
 def offered(readers: Sequence[QoSProfile]) -> QoSProfile:

@@ -10,6 +10,14 @@ from collections.abc import Iterable, Mapping
 
 from understudy.ros.rmw import MIDDLEWARE
 
+_NAMED = b"pod "
+"""The beginning of a key that has the name of a pod. No GID begins with it: Fast DDS is vendor 1.15."""
+
+
+def named(pod: str) -> bytes:
+    """Return the key of a pod whose samples are recognized by their writers, for which its address does not matter."""
+    return _NAMED + pod.encode()
+
 
 class Sources:
     """The pods that may have sent a sample."""
@@ -17,7 +25,7 @@ class Sources:
     def __init__(self, instances: Mapping[str, str]) -> None:
         """``instances`` has the IP of each pod.
 
-        Pods without one (yet), or with an IPv6 address, cannot be identified.
+        Pods without one (yet), or with an IPv6 address, cannot be identified by it.
         """
         self.instances = dict(instances)
         self.unknown: list[str] = []
@@ -31,7 +39,9 @@ class Sources:
         self._pods = {host: tuple(sorted(names)) for host, names in pods.items()}
 
     def candidates(self, gid: bytes) -> tuple[str, ...]:
-        """Return the pods that may contain the writer with this GID (its HOST part is enough); empty if none can."""
+        """Return the pods that may contain the writer with this GID (its HOST part is enough, or the key of a pod); empty if none can."""
+        if gid.startswith(_NAMED):
+            return (gid[len(_NAMED) :].decode(),)
         return self._pods.get(MIDDLEWARE.host_of(gid), ())
 
     def pod(self, gid: bytes) -> str | None:

@@ -22,7 +22,7 @@ from understudy.ros.observe.lifecycle_states import LifecycleStates
 from understudy.ros.observe.message_contents import HEAD, OURS, Received, begins_with_header, ours
 from understudy.ros.observe.parameter_values import ParameterValues
 from understudy.ros.observe.sample_rings import SampleRing, SampleTrack
-from understudy.ros.observe.sample_sources import Sources
+from understudy.ros.observe.sample_sources import Sources, named
 from understudy.ros.rmw import MIDDLEWARE
 from understudy.ros.runtime.arrival_wakeups import ArrivalWakeups
 from understudy.ros.runtime.graph_node import Graph, NotReceivable
@@ -166,6 +166,8 @@ class TopicWatch:
         self._ring: SampleRing | None = None
         self._topics: dict[str, _Topic] = {}
         self._sources = Sources({})
+        self._senders: dict[bytes, bytes] = {}
+        """By the GID of a writer, the key of the pod that it belongs to, if that is known from more than its address."""
         self._active = ""
         self._next_look_up = 0.0
         self._steps = ClockSteps()
@@ -325,6 +327,10 @@ class TopicWatch:
                 source.accepted = self._accepted(host)
             self._count_again(topic)
 
+    def attribute_writers(self, instances: Mapping[bytes, str]) -> None:
+        """Attribute the samples of these writers (by their GIDs) to these pods, whatever their addresses are."""
+        self._senders = {gid: named(pod) for gid, pod in instances.items() if pod}
+
     @property
     def sources(self) -> Sources:
         """The instances that samples are attributed to, and which of them cannot be distinguished."""
@@ -406,6 +412,7 @@ class TopicWatch:
         task, wanted = topic.want.task, topic.want.contents
         mixed, track = topic.mixed, topic.track
         needed = None if topic.want.whole else HEAD
+        senders = self._senders
         losing = self._drained_at < self._losing_until
         with handle:
             pointer = handle.pointer
@@ -417,7 +424,8 @@ class TopicWatch:
                 received = min(max(stamped, low), high) if bounded else stamped
                 if track is not None and track.wanted:
                     track.add(received, sent, sequence, data or self._taker.data())
-                source = sources.get(MIDDLEWARE.host_of(gid)) or self._new_source(topic, MIDDLEWARE.host_of(gid))
+                sender = senders.get(gid) or MIDDLEWARE.host_of(gid)
+                source = sources.get(sender) or self._new_source(topic, sender)
                 source.add(received)
                 if source.number(gid, sequence, received) and losing:
                     source.observed_since = received

@@ -42,6 +42,7 @@ class Stand:
 
     def __init__(self, folder: Path, *, token: bytes = TOKEN, **gate: object) -> None:
         self._gate = {"kind": "Mux", **gate}
+        self.ready: list[str] = []
         self.client, self.reports = MemoryClient(), MuxReports()
         self.view = ClusterView(self.client, "fleet", "w", Wakeups(), KIND)
         self._monitor, self._robot = Graph("understudy_monitor"), Graph("understudy_mux_w")
@@ -64,7 +65,8 @@ class Stand:
         patch = KIND.commitment("w", over=record, active=name, active_uid=f"uid of {name}")
         self.view.gates.put(await KIND.write(self.client, "fleet", "w", patch))
         if noticed:
-            self.reports.committed()
+            self.reports.deciding()
+            self.reports.committed(record.epoch + 1)
 
     async def serve(self) -> None:
         """Do what the process of a mux does."""
@@ -85,7 +87,7 @@ class Stand:
         self._robot.close()
 
     async def monitor(self) -> None:
-        await MuxOrders(self.client, self.view, self._monitor, self.reports).run()
+        await MuxOrders(self.client, self.view, self._monitor, self.reports, lambda: self.ready).run()
 
 
 @asynccontextmanager
@@ -134,6 +136,10 @@ async def test_the_admitted_standby_is_the_standing_order(tmp_path: Path) -> Non
         stand.view.gates.put(await KIND.write(stand.client, "fleet", "w", patch))
         async with asyncio.timeout(20):
             while stand.mux.control.standing != StandingOrder(("w-2",), {"/cmd_vel": 0.1}):
+                await asyncio.sleep(0.01)
+        stand.ready = ["w-1", "w-3", "w-2"]
+        async with asyncio.timeout(20):
+            while stand.mux.control.standing.successors != ("w-2", "w-3"):
                 await asyncio.sleep(0.01)
         await stand.commit("w-2")
         await stand.until("w-2")

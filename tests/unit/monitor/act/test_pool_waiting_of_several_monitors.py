@@ -180,8 +180,11 @@ class Monitor:
         self.gate = GateControl(cluster, self.view, self.fleet, self, steps, self.notices)  # type: ignore[arg-type]
         cluster.monitors.append(self)
 
-    def committed(self) -> None:
-        """No mux waits for an order."""
+    def deciding(self) -> None:
+        """There is no mux."""
+
+    def committed(self, epoch: int) -> None:
+        """There is no mux."""
 
     def hear(self, resource: Resource, item: Object) -> None:
         """What its watches tell it of a write."""

@@ -34,7 +34,11 @@ class World:
             self.add(name, strength)
         self.arrives("w-1", *(NOW - 0.05 * i for i in range(150)))
         self.takeover = ReflexTakeover(
-            self.objects.view, self.objects.gate, self.senses.observer, self.senses.value.probes
+            self.objects.view,
+            self.objects.pods,
+            self.objects.gate,
+            self.senses.observer,
+            self.senses.value.probes,
         )
         self.reflexes = ReflexGuard(self.objects.cluster, self.senses.value, self.takeover, self.objects.notices)
 

@@ -59,6 +59,7 @@ async def test_an_instance_drives_once_each_expected_output_of_it_was_forwarded(
     observer: HealthObserver, reports: MuxReports
 ) -> None:
     outputs, began = observer.outputs(cast(Any, Instances()), cast(Any, Gate())), CLOCK.now()
+    reports.add(replace(REPORT, forwarded=0, since=math.inf))
     waiting = asyncio.create_task(outputs.first_from(INSTANCE, since=began))
     await asyncio.sleep(0.01)
     reports.add(replace(REPORT, forwarded=0, since=math.inf))
@@ -70,6 +71,15 @@ async def test_an_instance_drives_once_each_expected_output_of_it_was_forwarded(
     first = await waiting
     assert first is not None
     assert began <= first <= CLOCK.now()
+
+
+async def test_while_no_mux_reports_what_an_instance_sends_has_to_do(
+    observer: HealthObserver, reports: MuxReports, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outputs, began = observer.outputs(cast(Any, Instances()), cast(Any, Gate())), CLOCK.now()
+    monkeypatch.setattr(outputs, "_heard_from", lambda instance, since: since + 0.5)
+    assert reports.is_silent
+    assert await outputs.first_from(INSTANCE, since=began) == began + 0.5
 
 
 async def test_no_other_instance_reaches_the_robot(observer: HealthObserver, reports: MuxReports) -> None:

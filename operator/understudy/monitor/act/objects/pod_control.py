@@ -59,6 +59,7 @@ def instance_of(pod: Object) -> Instance:
         name=metadata["name"],
         uid=metadata["uid"],
         ip=status.get("podIP", ""),
+        shares_address=bool(pod["spec"].get("hostNetwork")),
         pool=claims.pool_of(pod),
         running=status.get("phase") == "Running",
         ready=conditions.get("Ready") == "True",

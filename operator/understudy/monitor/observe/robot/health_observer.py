@@ -30,6 +30,7 @@ from understudy.monitor.observe.robot.known_senders import (
 from understudy.ros.observe.offered_qos import offers
 from understudy.ros.observe.sample_rings import SampleRing
 from understudy.ros.observe.topic_watch import TopicWatch
+from understudy.ros.observe.writer_instances import WriterInstances
 from understudy.ros.rmw import MIDDLEWARE
 from understudy.ros.runtime.arrival_wakeups import ArrivalWakeups
 from understudy.ros.runtime.graph_node import Graph
@@ -45,6 +46,9 @@ _logger = logging.getLogger(__name__)
 CHECK_PERIOD = 0.002
 """Seconds between checks while a switch is being verified."""
 
+WRITERS_PERIOD, WRITERS_AGAIN = 0.2, 2.0
+"""Seconds between two looks whether the number of writers of an output has changed, and between two lists of them."""
+
 POD_CHECK_PERIOD = 0.1
 """Seconds after which the state of the active pod is passed to the trees again."""
 
@@ -57,7 +61,7 @@ class HealthObserver:
     ) -> None:
         """``meter`` measures CPU and memory of the active pod; without it, no leaf can judge them. ``address`` is the IP of this pod.
         With ``forwarding``, a mux reports what reaches the robot; without it, this process receives what the robot receives."""
-        self._forwarding = forwarding
+        self._forwarding, self._address = forwarding, address
         self.graph = Graph("understudy_monitor")
         self.coming = ArrivalWakeups()
         """Reports messages that must be evaluated when they arrive."""
@@ -210,7 +214,9 @@ class HealthObserver:
 
         ``pinned`` are those that the gate let through of late.
         """
-        self._senders.update(instances, pinned, self._last_at, time.time())
+        # The address of a node is that of its other processes too. A mux tells such instances apart by their writers.
+        addressed = [one for one in instances if not one.shares_address]
+        self._senders.update(addressed, pinned, self._last_at, time.time())
         self.addresses = {name: sender.ip for name, sender in self._senders.named().items() if sender.attributed}
         self._watching.attribute(self.addresses, active)
         self._watching.drain()
@@ -311,13 +317,26 @@ class HealthObserver:
         if self._tree is not None:
             self._tree.expect_samples(since=since, heard_from=heard_from)
 
+    async def follow_writers(self) -> None:
+        """Attribute the samples on outputs to instances by their writers, until cancelled. Only a mux needs it."""
+        found, again = WriterInstances(self._address), 0.0
+        counts: tuple[int, ...] = ()
+        while True:
+            now, topics = time.monotonic(), self.output_topics
+            counted = tuple(self.graph.publisher_count(topic) for topic in topics)
+            if counted != counts or now >= again:
+                counts, again = counted, now + WRITERS_AGAIN
+                await found.update({end.gid for topic in topics for end in self.graph.publishers(topic)})
+                self._watching.attribute_writers(found.names)
+            await asyncio.sleep(WRITERS_PERIOD)
+
     def discovered(self, instance: Instance) -> bool | None:
         """Return whether discovery has found an endpoint of an output on an instance's host; None if that cannot be known.
 
         Readers of topics do not count: they are the robot's. It cannot be known without an IPv4 address, or before the outputs are known.
         """
         host = host_at(instance.ip)
-        if not host or not self._outputs:
+        if not host or not self._outputs or instance.shares_address:
             return None
         return any(MIDDLEWARE.host_of(end.gid) == host for one in self._outputs for end in self.graph.endpoints(one))
 
@@ -424,13 +443,19 @@ class GatedReaders:
             self._drain()
             if not self.expected:
                 return None
-            # If two pods cannot be distinguished, a sample that passes the gate is from the pod that the gate names.
-            ambiguous = any(instance.name in names for names in self._watching.sources.ambiguous)
-            system = CLOCK.to_system(since)
-            found = [self._first(topic, instance.name, system, ambiguous) for topic in self.expected]
-            if all(time is not None for time in found):
-                return CLOCK.of_system(min(time for time in found if time is not None))
+            if (first := self._heard_from(instance, since)) is not None:
+                return first
             await asyncio.sleep(CHECK_PERIOD)
+
+    def _heard_from(self, instance: Instance, since: float) -> float | None:
+        """Return when the first sample of the instance arrived after ``since``; None if one of each expected topic has not."""
+        # If two pods cannot be distinguished, a sample that passes the gate is from the pod that the gate names.
+        ambiguous = any(instance.name in names for names in self._watching.sources.ambiguous)
+        system = CLOCK.to_system(since)
+        found = [self._first(topic, instance.name, system, ambiguous) for topic in self.expected]
+        if not all(time is not None for time in found):
+            return None
+        return CLOCK.of_system(min(time for time in found if time is not None))
 
     def _first(self, topic: str, pod: str, since: float, ambiguous: bool) -> float | None:
         if not ambiguous:
@@ -482,18 +507,25 @@ class ForwardedOutputs(GatedReaders):
     async def first_from(self, instance: Instance, *, since: float) -> float | None:
         """Wait until the mux has forwarded a sample of each expected topic from the instance, received after ``since``.
 
-        Returns when it forwarded the first one; None if no topic is expected, or none any more.
+        Returns when it forwarded the first one; None if no topic is expected, or none any more. While no mux reports, for example because
+        the robot is switched off, what the instance sends has to do: another instance would reach the robot no better.
         """
         while True:
             self._drain()
             if not self.expected:
                 return None
-            forwarded = self._reports.forwarded(instance.name)
-            if forwarded is not None and forwarded.at >= since:
-                heard = self._reports.heard()
-                if all(heard.get(topic, -math.inf) >= since for topic in self.expected):
-                    return max(since, forwarded.forwarding_since)
+            first = self._heard_from if self._reports.is_silent else self._forwarded_from
+            if (found := first(instance, since)) is not None:
+                return found
             await asyncio.sleep(CHECK_PERIOD)
+
+    def _forwarded_from(self, instance: Instance, since: float) -> float | None:
+        forwarded, heard = self._reports.forwarded(instance.name), self._reports.heard()
+        if forwarded is None or forwarded.at < since:
+            return None
+        if not all(heard.get(topic, -math.inf) >= since for topic in self.expected):
+            return None
+        return max(since, forwarded.forwarding_since)
 
     def last_from_others(self, instance: Instance) -> tuple[float, str]:
         """Return that no sample of another instance is forwarded."""

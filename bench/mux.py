@@ -1,0 +1,265 @@
+"""Measures what a mux costs between the instances and the robot, and how soon it switches.
+
+    scripts/bench mux [--minutes 10] [--switches 50] [--silences 20]
+
+Two instances publish 100 messages/s each, in partitions of their own, and a robot without a profile receives what the
+real process of a mux forwards. The instances publish each message once more on a topic that no mux forwards. The added
+latency of a message is how much later the robot receives it by the mux than directly. Then orders switch between the
+instances, and standing orders replace one that is frozen (SIGSTOP). All processes run on this machine, over UDP.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from bench.results import Report, quantile
+from bench.roles import Role, answering, end_with_parent, environment, running, tell
+
+MUXED, DIRECT, TYPE = "/cmd_vel", "/cmd_vel_direct", "geometry_msgs/msg/TwistStamped"
+INSTANCES = ("instance-1", "instance-2")
+PERIOD = 0.01
+"""Seconds between two messages of an instance."""
+
+SILENCE = 0.1
+"""Seconds of silence after which the mux switches by itself."""
+
+TOKEN = b"bench"
+OUTPUT = {"topic": MUXED, "type": TYPE}
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--minutes", type=float, default=10.0)
+    parser.add_argument("--switches", type=int, default=50)
+    parser.add_argument("--silences", type=int, default=20)
+    parser.add_argument("--role", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    environment()
+    if options.role:
+        end_with_parent()
+        _robot() if options.role == "robot" else _instance(options.role)
+        return 0
+    report = Report("mux")
+    with tempfile.TemporaryDirectory() as folder, _stand(Path(folder)) as stand:
+        stand.until_driven(INSTANCES[0])
+        _steady(report, stand, options.minutes * 60)
+        _orders(report, stand, options.switches)
+        _silences(report, stand, options.silences)
+    report.note("load", f"two instances, each with {1 / PERIOD:g} messages/s of {TYPE}; one is forwarded")
+    print(report.table())
+    print(report.write())
+    return 0 if report.held else 1
+
+
+class _Stand:
+    """The processes, and the monitor's side of the orders."""
+
+    def __init__(self, roles: dict[str, Role], mux: subprocess.Popen[bytes]) -> None:
+        from understudy.api.protocol.mux_messages import derive, topics
+        from understudy.ros.actions.text_exchange import TextExchange
+        from understudy.ros.runtime.arrival_wakeups import ArrivalWakeups
+        from understudy.ros.runtime.graph_node import Graph
+
+        self.roles, self._mux, self._keys = roles, mux, derive(TOKEN, "bench", "w")
+        orders, reports = topics("bench", "w")
+        self._exchange = TextExchange(Graph("bench"), ArrivalWakeups(), reads=reports, writes=orders)
+        self._epochs, self._nonces = itertools.count(1), itertools.count(1)
+
+    def order(self, source: str, *, standing: bool = False) -> float:
+        """Order whom the mux forwards from now on. Returns when, in monotonic seconds."""
+        from understudy.api.protocol.mux_messages import Order, StandingOrder, Token, order_text
+
+        successor = next(one for one in INSTANCES if one != source)
+        planned = StandingOrder((successor,), {MUXED: SILENCE}) if standing else StandingOrder()
+        # The greatest token: this monitor knows every switch of the mux.
+        order = Order(1.0, next(self._epochs), source, Token(2.0), planned)
+        text = order_text(order, str(next(self._nonces)), self._keys)
+        at = time.monotonic()
+        self._exchange.publish(text)
+        return at
+
+    def received(self) -> list[tuple[float, float, str, int, str]]:
+        """Return what the robot received since it was asked last: when, when it was sent, by whom, its number, and the topic."""
+        return [tuple(one) for one in self.roles["robot"].ask("received")["received"]]
+
+    def until_driven(self, pod: str) -> None:
+        """Order an instance until the robot receives it."""
+        end = time.monotonic() + 60
+        while not any(topic == MUXED and by == pod for _, _, by, _, topic in self.received()):
+            if time.monotonic() > end:
+                raise SystemExit(f"the robot does not receive {pod}; is multicast possible here?")
+            self.order(pod)
+            time.sleep(0.5)
+
+    def cpu(self) -> float:
+        """Return the CPU seconds of the mux so far."""
+        tasks = Path(f"/proc/{self._mux.pid}/task")
+        return sum(int((task / "schedstat").read_text().split()[0]) for task in tasks.iterdir()) * 1e-9
+
+
+@contextmanager
+def _stand(folder: Path) -> Iterator[_Stand]:
+    from understudy.api import names
+    from understudy.api.kinds.robot_workload import Output
+    from understudy.ros.dds.profiles import muxed_profiles_xml
+
+    profile, token = folder / "instance.xml", folder / "token"
+    profile.write_text(muxed_profiles_xml([Output.model_validate(OUTPUT)]))
+    token.write_bytes(TOKEN)
+    instances = {pod: {names.POD_VARIABLE: pod, "FASTRTPS_DEFAULT_PROFILES_FILE": str(profile)} for pod in INSTANCES}
+    with running("bench.mux", {"robot": {}, **instances}) as roles:
+        settings = {
+            names.NAMESPACE_VARIABLE: "bench",
+            names.WORKLOAD_VARIABLE: "w",
+            names.OUTPUTS_VARIABLE: json.dumps([OUTPUT]),
+            "UNDERSTUDY_TOKEN_FILE": str(token),
+            "UNDERSTUDY_STATE": str(folder / "state"),
+            "UNDERSTUDY_LOG_LEVEL": "ERROR",
+        }
+        mux = subprocess.Popen([sys.executable, "-m", "understudy.main", "mux"], env={**os.environ, **settings})
+        try:
+            yield _Stand(roles, mux)
+        finally:
+            mux.terminate()
+            mux.wait(10)
+
+
+def _steady(report: Report, stand: _Stand, seconds: float) -> None:
+    """Measure latency, cost and losses while one instance is forwarded."""
+    time.sleep(3.0)
+    stand.received()
+    begun, before = time.monotonic(), stand.cpu()
+    found: list[tuple[float, float, str, int, str]] = []
+    while time.monotonic() - begun < seconds:
+        time.sleep(min(5.0, seconds))
+        found += stand.received()
+        print(f"{time.monotonic() - begun:.0f} of {seconds:.0f} s: {len(found)} messages", flush=True)
+    used, passed = stand.cpu() - before, time.monotonic() - begun
+    mine = [one for one in found if one[2] == INSTANCES[0]]
+    direct = {number: at for at, _, _, number, topic in mine if topic == DIRECT}
+    muxed = [(at, number) for at, _, _, number, topic in mine if topic == MUXED]
+    added = [(at - direct[number]) * 1000 for at, number in muxed if number in direct]
+    numbers = [number for _, number in muxed]
+    lost = numbers[-1] - numbers[0] + 1 - len(set(numbers))
+    disordered = sum(later <= earlier for earlier, later in itertools.pairwise(numbers))
+    report.figure("added latency", _thinned(added), unit="ms", must={"p50": 1.0})
+    report.figure("added latency, p99", [quantile(added, 0.99)], unit="ms", must={"max": 3.0})
+    latencies = [(at - sent) * 1000 for at, sent, _, _, topic in mine if topic == DIRECT]
+    report.baseline("latency without a mux", _thinned(latencies), unit="ms", of="the same message on another topic")
+    report.figure("processor time of the mux", [used / passed * 1000], unit="milli-CPU", must={"max": 10.0})
+    report.figure("messages lost", [float(lost)], unit="messages", must={"max": 0.0})
+    report.figure("messages out of order", [float(disordered)], unit="messages", must={"max": 0.0})
+    report.note("steady", f"{len(muxed)} messages in {passed:.0f} s")
+
+
+def _thinned(values: list[float]) -> list[float]:
+    """Return at most a thousand of the values, evenly: the file of results has each of them."""
+    return [round(value, 4) for value in values[:: max(1, len(values) // 1000)]]
+
+
+def _orders(report: Report, stand: _Stand, switches: int) -> None:
+    """Measure how long after an order the robot receives the first message of the other instance."""
+    took: list[float] = []
+    for number in range(1, switches + 1):
+        pod = INSTANCES[number % 2]
+        stand.received()
+        at = stand.order(pod)
+        time.sleep(0.3)
+        first = min(when for when, _, by, _, topic in stand.received() if (by, topic) == (pod, MUXED))
+        took.append((first - at) * 1000)
+    limit = 10.0 + PERIOD * 1000
+    report.figure("order to the first message", took, unit="ms", must={"p95": limit}, limit="10 ms and a period")
+
+
+def _silences(report: Report, stand: _Stand, silences: int) -> None:
+    """Measure how long the robot receives nothing if the instance that is forwarded is frozen and nobody gives an order."""
+    gaps: list[float] = []
+    for number in range(1, silences + 1):
+        pod, other = INSTANCES[number % 2], INSTANCES[(number + 1) % 2]
+        stand.order(pod, standing=True)
+        time.sleep(0.7)
+        stand.received()
+        time.sleep(0.3)
+        stand.roles[pod].signal(signal.SIGSTOP)
+        time.sleep(0.5)
+        found = [(when, by) for when, _, by, _, topic in stand.received() if topic == MUXED]
+        stand.roles[pod].signal(signal.SIGCONT)
+        last = max(when for when, by in found if by == pod)
+        gaps.append((min(when for when, by in found if by == other) - last) * 1000)
+        time.sleep(0.3)
+    limit = (SILENCE + 0.015 + PERIOD) * 1000
+    report.figure(
+        "gap of a silent instance", gaps, unit="ms", must={"p95": limit}, limit="deadline, 15 ms and a period"
+    )
+
+
+# -- roles ---------------------------------------------------------------------------------------------------------------
+
+
+def _robot() -> None:
+    """Receive both topics, and answer what arrived."""
+    import rclpy
+    from geometry_msgs.msg import TwistStamped
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.node import Node
+
+    rclpy.init()
+    node, lock = Node("robot"), threading.Lock()
+    received: list[tuple[float, float, str, int, str]] = []
+
+    def heard(topic: str, message: Any) -> None:
+        twist = message.twist
+        with lock:
+            received.append((time.monotonic(), twist.linear.y, message.header.frame_id, int(twist.linear.x), topic))
+
+    def taken() -> list[tuple[float, float, str, int, str]]:
+        with lock:
+            found = list(received)
+            received.clear()
+        return found
+
+    for topic in (MUXED, DIRECT):
+        node.create_subscription(TwistStamped, topic, lambda message, topic=topic: heard(topic, message), 10)
+    answering({"received": lambda asked: {"received": taken()}})
+    tell("ready")
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    executor.spin()
+
+
+def _instance(pod: str) -> None:
+    """Publish on both topics."""
+    import rclpy
+    from geometry_msgs.msg import TwistStamped
+    from rclpy.node import Node
+
+    rclpy.init()
+    node = Node(pod.replace("-", "_"))
+    publishers = [node.create_publisher(TwistStamped, topic, 10) for topic in (MUXED, DIRECT)]
+    answering({})
+    tell("ready")
+    message, due = TwistStamped(), time.monotonic()
+    message.header.frame_id = pod
+    for number in itertools.count(1):
+        message.twist.linear.x, message.twist.linear.y = float(number), time.monotonic()
+        for publisher in publishers:
+            publisher.publish(message)
+        due = max(due + PERIOD, time.monotonic())
+        time.sleep(max(0.0, due - time.monotonic()))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
