@@ -80,10 +80,16 @@ def test_the_mux_switches_to_the_admitted_standby_by_itself(kubectl: Kubectl) ->
 
 def test_instances_in_the_network_of_their_node_drive_through_the_mux(kubectl: Kubectl) -> None:
     robot = Robot(kubectl)
+    # Pod Security allows the network of the node at this level only.
+    kubectl("label", "namespace", kubectl.namespace, "pod-security.kubernetes.io/enforce=privileged")
     kubectl.apply(patient(manifest("strategies/executing.yaml")))
 
     def edit(item: Object) -> None:
-        item["spec"]["template"]["spec"] |= {"hostNetwork": True, "dnsPolicy": "ClusterFirstWithHostNet"}
+        pod = item["spec"]["template"]["spec"]
+        pod |= {"hostNetwork": True, "dnsPolicy": "ClusterFirstWithHostNet"}
+        # By which the application names itself in its commands. Otherwise it is the name of the node.
+        name = {"name": "HOSTNAME", "valueFrom": {"fieldRef": {"fieldPath": "metadata.name"}}}
+        pod["containers"][0]["env"] = [name]
 
     kubectl.apply(robot.objects(policy="quickstart-executing", folder="mux/", edit=edit))
     first = robot.wait_protected()

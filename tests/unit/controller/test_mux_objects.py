@@ -86,6 +86,14 @@ def test_pods_on_every_network_are_accepted(change: Object) -> None:
     assert refused.condition("Accepted")["status"] == "False"
 
 
+def test_the_monitor_receives_instances_that_have_the_addresses_of_their_nodes() -> None:
+    template = copy.deepcopy(TEMPLATE)
+    template["spec"]["hostNetwork"] = True
+    for spec, is_open in (({"template": template}, True), ({}, False)):
+        rule = applied(plan(**spec), "networkpolicies")["w-control-plane"]["spec"]["ingress"][0]
+        assert ("from" not in rule) == is_open
+
+
 def test_the_pods_of_a_referred_controller_are_refused() -> None:
     from understudy.api.kinds.robot_workload import RobotWorkloadSpec
     from understudy.controller.desired import mux_validation

@@ -51,3 +51,21 @@ def test_two_instances_with_one_address_are_told_apart_by_their_writers(graph: G
     last = watching.last_from_others(CHAT, "w-1")
     assert last is not None
     assert last[1] == "w-2"
+
+
+def test_what_was_received_before_a_writer_was_known_stays_with_its_instance(graph: Graph) -> None:
+    watching = TopicWatch(graph)
+    watching.follow([WatchedTopic(CHAT, "std_msgs/msg/String", 10.0, None)])
+    watching.attribute({"w-1": "127.0.0.1"}, "w-1")
+    publisher, end = graph.node.create_publisher(String, CHAT, QoSProfile(depth=10)), time.monotonic() + 20
+    while not watching.records(CHAT):
+        assert time.monotonic() < end
+        publisher.publish(String(data="x"))
+        time.sleep(0.05)
+        watching.drain()
+    before = len(watching.records(CHAT))
+    (writer,) = (found.gid for found in graph.publishers(CHAT))
+    (received,) = (len(record.arrivals) for record in watching.records(CHAT).values())
+    watching.attribute_writers({writer: "w-1"})
+    assert len(watching.records(CHAT)) == before == 1
+    assert len(watching.arrivals(CHAT, "w-1")) == received

@@ -16,8 +16,13 @@ _MOST_CONTAINERS = 32
 _MOST_LABELS = 64
 
 
-def pod_template(*container_rules: tuple[str, str, str]) -> dict[str, Any]:
-    """``json_schema_extra`` of a pod template, with CEL rules for each of its containers."""
+def pod_template(*container_rules: tuple[str, str, str], any_network: bool = False) -> dict[str, Any]:
+    """``json_schema_extra`` of a pod template, with CEL rules for its containers. ``any_network`` allows the network of the node."""
+    pod_network = (
+        "!has(self.hostNetwork) || !self.hostNetwork",
+        "hostNetwork is not allowed, because NetworkPolicies, and so the gate, do not apply to a pod in its node's network",
+        ".hostNetwork",
+    )
     return {
         "properties": {
             "metadata": {
@@ -70,7 +75,9 @@ def pod_template(*container_rules: tuple[str, str, str]) -> dict[str, Any]:
                     },
                     "hostNetwork": {
                         "type": "boolean",
-                        "description": "Must not be true: NetworkPolicies do not apply to a pod in its node's network.",
+                        "description": "Network of the node. Only with gate kind Mux, because NetworkPolicies do not apply there."
+                        if any_network
+                        else "Must not be true: NetworkPolicies do not apply to a pod in its node's network.",
                     },
                     "restartPolicy": {
                         "type": "string",
@@ -80,14 +87,7 @@ def pod_template(*container_rules: tuple[str, str, str]) -> dict[str, Any]:
                 },
             }
             | _PRESERVED
-            | rules(
-                (
-                    "!has(self.hostNetwork) || !self.hostNetwork",
-                    "hostNetwork is not allowed, because NetworkPolicies, and so the gate, do not apply to a pod "
-                    "in its node's network",
-                    ".hostNetwork",
-                )
-            ),
+            | ({} if any_network else rules(pod_network)),
         },
         "required": ["spec"],
     }

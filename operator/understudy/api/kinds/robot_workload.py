@@ -295,6 +295,12 @@ class Dependency(Model):
         "RobotWorkload and create it again",
         ".gate",
     ),
+    (
+        "!has(self.template) || !has(self.template.spec.hostNetwork) || !self.template.spec.hostNetwork || "
+        "(has(self.gate) && self.gate.kind == 'Mux')",
+        "template.spec.hostNetwork needs gate.kind Mux, because NetworkPolicies do not apply to a pod in its node's network",
+        ".template",
+    ),
     unique("tasks", "action", "tasks contains the same action twice"),
     (
         "!has(self.tasks) || self.tasks.all(t, !self.outputs.exists(o, has(o.action) && o.action == t.action))",
@@ -312,7 +318,7 @@ class Dependency(Model):
 class RobotWorkloadSpec(Model):
     """One application of one robot."""
 
-    template: UnknownContent | None = Field(default=None, json_schema_extra=pod_template())
+    template: UnknownContent | None = Field(default=None, json_schema_extra=pod_template(any_network=True))
     """Pod template, as in a Deployment: metadata.labels, metadata.annotations and spec. Understudy creates the pod from
     it, with a ReplicaSet of one replica."""
     workload_ref: WorkloadReference | None = None

@@ -30,19 +30,20 @@ def reach(observed: Observed, spec: RobotWorkloadSpec) -> Reach:
     )
 
 
-def policy(workload: str, within: Reach, metrics_from: Sequence[Object]) -> Object:
+def policy(workload: str, within: Reach, metrics_from: Sequence[Object], *, from_nodes: bool = False) -> Object:
     """Return the policy of the monitor and the discovery server.
 
     Those whom the instances may reach discover the robot's graph and are observed, and the instances do so too. An agent that is cut off
     asks its monitor and other pods of the namespace whether they answer, by TCP at the port of the probes. These may be monitors of other
     workloads, so the instances of all workloads of the namespace may ask. ``metrics_from`` are the peers that read metrics.
+    ``from_nodes`` is whether instances have the addresses of their nodes, which no policy can name: then everybody reaches the graph.
     """
     ours: list[Object] = [{"podSelector": {"matchLabels": {names.WORKLOAD: workload}}}, protectors(workload)]
     ours += [{"podSelector": dict(within.reference)}] if within.reference else []
     peers = [*(within.peers or [{"podSelector": {}}]), *addresses(within.robots)]
     graph = [ports("UDP", last=names.PROBE_PORT - 1), ports("UDP", names.PROBE_PORT + 1)]
     ingress: list[Object] = [
-        {"from": [*peers, *ours], "ports": graph},
+        {"ports": graph} if from_nodes else {"from": [*peers, *ours], "ports": graph},
         {"from": ours, "ports": [ports("UDP", names.PROBE_PORT, names.PROBE_PORT)]},
         {"from": [_INSTANCES], "ports": [{"protocol": "TCP", "port": names.PROBE_PORT}]},
     ]

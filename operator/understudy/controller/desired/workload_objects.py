@@ -160,7 +160,8 @@ def _gate(made: Plan, observed: Observed, spec: RobotWorkloadSpec, images: Image
     kind, gate, reach = registry.of(workload), observed.gate, control_plane_policies.reach(observed, spec)
     for resource, body in kind.companions(name, reach):
         made.writes.append(_ours(observed, resource, body))
-    shield = control_plane_policies.policy(name, reach, images.metrics_from)
+    from_nodes = bool(((spec.template or {}).get("spec") or {}).get("hostNetwork"))
+    shield = control_plane_policies.policy(name, reach, images.metrics_from, from_nodes=from_nodes)
     made.writes.append(_ours(observed, NETWORK_POLICIES, shield))
     if gate is None:
         fenced = workload["metadata"]["generation"] if spec.pause is not None and spec.pause.is_fence else 0

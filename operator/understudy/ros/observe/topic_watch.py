@@ -328,8 +328,18 @@ class TopicWatch:
             self._count_again(topic)
 
     def attribute_writers(self, instances: Mapping[bytes, str]) -> None:
-        """Attribute the samples of these writers (by their GIDs) to these pods, whatever their addresses are."""
-        self._senders = {gid: named(pod) for gid, pod in instances.items() if pod}
+        """Attribute the samples of these writers (by their GIDs) to these pods, whatever their addresses are. Cheap if nothing changed."""
+        senders = {gid: named(pod) for gid, pod in instances.items() if pod}
+        if senders == self._senders:
+            return
+        self._senders = senders
+        for topic in self._topics.values():
+            for known, source in list(topic.sources.items()):
+                keys = {senders.get(gid, known) for gid in source.sequences}
+                if len(keys) == 1 and (key := keys.pop()) != known and key not in topic.sources:
+                    topic.sources[key] = topic.sources.pop(known)  # from before its writers were known
+                    source.accepted = self._accepted(key)
+            self._count_again(topic)
 
     @property
     def sources(self) -> Sources:
@@ -596,10 +606,8 @@ class TopicWatch:
         return max(found, default=0.0)
 
     def _record_of(self, name: str, pod: str) -> SourceRecord | None:
-        for host, record in self.records(name).items():
-            if self._sources.candidates(host) == (pod,):
-                return record
-        return None
+        found = [record for key, record in self.records(name).items() if self._sources.candidates(key) == (pod,)]
+        return max(found, key=lambda record: record.last or 0.0, default=None)
 
     def close(self) -> None:
         """Remove all subscriptions. The graph belongs to the caller."""
