@@ -87,7 +87,7 @@ def test_instances_in_the_network_of_their_node_drive_through_the_mux(kubectl: K
     def edit(item: Object) -> None:
         pod = item["spec"]["template"]["spec"]
         pod |= {"hostNetwork": True, "dnsPolicy": "ClusterFirstWithHostNet"}
-        # By which the application names itself in its commands. Otherwise it is the name of the node.
+        # The application names itself so in its commands. Otherwise it would use the name of the node.
         name = {"name": "HOSTNAME", "valueFrom": {"fieldRef": {"fieldPath": "metadata.name"}}}
         pod["containers"][0]["env"] = [name]
 

@@ -8,7 +8,8 @@ import math
 import os
 import signal
 import sys
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,8 +33,8 @@ STATE = Path(names.STATE_DIR)
 REPORT_PERIOD = 1.0
 """Seconds between two reports if nothing changes."""
 
-FOLLOW_PERIOD = 0.2
-"""Seconds between two looks at the graph."""
+FOLLOW_PERIOD, LIST_PERIOD = 0.2, 2.0
+"""Seconds between two looks whether the number of writers or readers has changed, and between two lists of them."""
 
 MONITOR = "/understudy_monitor"
 """The node of monitors, which send a policy's safe commands."""
@@ -145,23 +146,36 @@ async def _follow(routes: Sequence[Route], forwarder: Forwarder, learned: Callab
 
     found = WriterInstances(os.environ.get("UNDERSTUDY_ADDRESS", ""))
     forwarder.instances = found.names
+    counts: list[tuple[int, int]] = []
+    again = 0.0
     while True:
-        present: set[bytes] = set()
-        strangers: set[str] = set()
-        for route in routes:
-            writers = route.writers()
-            present |= {end.gid for end in writers}
-            # None: discovery has not reported it yet.
-            ours = {end.gid: found.names.get(end.gid) for end in writers}
-            strangers |= {
-                f"{route.output} by {end.node or 'an unnamed node'}"
-                for end in writers
-                if ours[end.gid] == "" and not end.node.startswith(MONITOR)
-            }
-            route.follow([gid for gid, instance in ours.items() if instance])
-        forwarder.strangers = tuple(sorted(strangers))
-        known = len(found.names.keys() & present)
-        await found.update(present)
-        if len(found.names) > known:
-            learned()
+        now, counted = time.monotonic(), [route.counts() for route in routes]
+        if counted != counts or now >= again:
+            counts, again = counted, now + LIST_PERIOD
+            present = _look(routes, forwarder, found.names)
+            known = len(found.names.keys() & present)
+            await found.update(present)
+            if len(found.names) > known:
+                learned()
+            if present - found.names.keys() or len(found.names) > known:
+                again = 0.0
         await asyncio.sleep(FOLLOW_PERIOD)
+
+
+def _look(routes: Sequence[Route], forwarder: Forwarder, instances: Mapping[bytes, str]) -> set[bytes]:
+    """Match the QoS of both sides, and note who writes beside the mux. Returns the writers that are present."""
+    present: set[bytes] = set()
+    strangers: set[str] = set()
+    for route in routes:
+        writers = route.writers()
+        present |= {end.gid for end in writers}
+        # None: discovery has not reported it yet.
+        ours = {end.gid: instances.get(end.gid) for end in writers}
+        strangers |= {
+            f"{route.output} by {end.node or 'an unnamed node'}"
+            for end in writers
+            if ours[end.gid] == "" and not end.node.startswith(MONITOR)
+        }
+        route.follow([gid for gid, instance in ours.items() if instance])
+    forwarder.strangers = tuple(sorted(strangers))
+    return present

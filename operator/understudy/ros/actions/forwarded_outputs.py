@@ -25,6 +25,9 @@ class Route(Protocol):
     def output(self) -> str:
         """The name of the output that it belongs to."""
 
+    def counts(self) -> tuple[int, int]:
+        """Return the numbers of its writers and readers, for a hundredth of the cost of listing them."""
+
     def writers(self) -> list[Endpoint]:
         """Return the writers whose samples command the robot, besides this process's own."""
 
@@ -50,6 +53,10 @@ class ReturnedTopic:
         """As for :class:`ForwardedTopic`."""
         self.output = output
         self._topic = ForwardedTopic(graph, topic, type_name, taker, wakeups)
+
+    def counts(self) -> tuple[int, int]:
+        """Return the numbers of its writers and readers."""
+        return self._topic.counts()
 
     def writers(self) -> list[Endpoint]:
         """Return nobody: what the robot publishes is no command."""

@@ -123,6 +123,14 @@ class Graph:
         """Return the number of a topic's publishers, for a hundredth of the cost of listing them."""
         return int(self.node.count_publishers(topic))
 
+    def topic_counts(self, topic: str) -> tuple[int, int]:
+        """Return the numbers of a topic's publishers and subscribers, this process's own too."""
+        return int(self.node.count_publishers(topic)), int(self.node.count_subscribers(topic))
+
+    def service_counts(self, service: str) -> tuple[int, int]:
+        """Return the numbers of a service's clients and servers, this process's own too."""
+        return int(self.node.count_clients(service)), int(self.node.count_services(service))
+
     def endpoints_of(self, node: str) -> list[Endpoint]:
         """Return publishers or subscribers of all nodes with this full name.
 
