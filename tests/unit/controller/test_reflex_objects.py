@@ -49,6 +49,16 @@ def test_a_service_must_be_accepted_and_cannot_be_the_only_output() -> None:
     assert "outputs has no topic" in problem(spec([DOCK], accept=["/dock"]))
 
 
+def test_a_mux_switches_all_outputs_at_once_and_needs_a_topic_too() -> None:
+    def muxed(*outputs: Object) -> RobotWorkloadSpec:
+        found = workload("w")["spec"]
+        gate = {"kind": "Mux", "reflex": {"deadline": "100ms"}}
+        return RobotWorkloadSpec.model_validate({**found, "outputs": list(outputs), "gate": gate})
+
+    assert problem(muxed(CMD_VEL, LAMP, DOCK)) == ""
+    assert "outputs has no topic" in problem(muxed(DOCK))
+
+
 def test_pods_that_cannot_receive_a_strength_are_refused() -> None:
     referring = spec([CMD_VEL], template=None, workload_ref={"kind": "Deployment", "name": "nav"})
     assert "Deployment nav" in problem(referring)

@@ -10,11 +10,17 @@ from understudy.controller.pods import instance_pod
 from understudy.ros.rmw import MIDDLEWARE
 
 
+_NO_TOPIC = "spec.gate.reflex: spec.outputs has no topic, and the reflex works only for topics. Remove spec.gate.reflex"
+
+
 def problem(spec: RobotWorkloadSpec, template: Mapping[str, Any]) -> str | None:
     """Return why the reflex of a workload is unsafe, and how to correct it; None if it is safe."""
     reflex = spec.gate.reflex
-    if reflex is None or spec.gate.is_at_robot:
+    if reflex is None:
         return None
+    topics = [output.name for output in spec.outputs if output.topic]
+    if spec.gate.is_at_robot:
+        return None if topics else _NO_TOPIC
     if spec.workload_ref is not None:
         return (
             f"spec.gate.reflex: Understudy does not change the pods of {spec.workload_ref.kind} {spec.workload_ref.name}, so their DDS "
@@ -27,11 +33,8 @@ def problem(spec: RobotWorkloadSpec, template: Mapping[str, Any]) -> str | None:
             f"{MIDDLEWARE.settings_variable} itself, so its DDS writers have no ownership strength, and the robot would receive nothing "
             "from them. Remove the variable, or remove spec.gate.reflex"
         )
-    topics = [output.name for output in spec.outputs if output.topic]
     if not topics:
-        return (
-            "spec.gate.reflex: spec.outputs has no topic, and the reflex works only for topics. Remove spec.gate.reflex"
-        )
+        return _NO_TOPIC
     others = [output.name for output in spec.outputs if not output.topic]
     if len(topics) == 1 and not others:
         return None
