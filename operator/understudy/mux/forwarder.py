@@ -13,8 +13,8 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
 from typing import Protocol
 
+from understudy.api.protocol.agent_messages import ProtocolError
 from understudy.api.protocol.mux_messages import MuxKeys, Report, read_order, report_text
-from understudy.api.protocol.session_keys import NotAuthentic
 from understudy.mux.control import Control, Heard, Refused, due_at, ordered, switched
 
 _logger = logging.getLogger(__name__)
@@ -108,7 +108,7 @@ class Forwarder:
         """Carry out an order, unless it is refused. A text that is no authentic order is ignored."""
         try:
             found, nonce = read_order(text, self._keys)
-        except NotAuthentic as error:
+        except ProtocolError as error:
             _logger.warning("an order is ignored: %s", error)
             return
         self.drain()

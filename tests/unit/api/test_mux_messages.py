@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from understudy.api.protocol.agent_messages import ProtocolError
 from understudy.api.protocol.mux_messages import (
     Order,
     Report,
@@ -18,6 +19,7 @@ from understudy.api.protocol.mux_messages import (
     read_order,
     read_report,
     report_text,
+    sealed,
 )
 from understudy.api.protocol.session_keys import NotAuthentic
 
@@ -55,6 +57,14 @@ def test_an_order_is_read_as_it_was_written(order: Order, nonce: str) -> None:
 @given(REPORTS)
 def test_a_report_is_read_as_it_was_written(report: Report) -> None:
     assert read_report(report_text(report, KEYS), KEYS) == report
+
+
+@pytest.mark.parametrize("message", [{}, {"token": 5}, {"token": [1.0, 2, 3, 4]}])
+def test_a_text_of_another_version_is_refused(message: dict[str, object]) -> None:
+    with pytest.raises(ProtocolError, match="the order is of another version"):
+        read_order(sealed(message, KEYS.orders), KEYS)
+    with pytest.raises(ProtocolError, match="the report is of another version"):
+        read_report(sealed(message, KEYS.reports), KEYS)
 
 
 ORDER = order_text(Order(1.0, 2, "w-1"), "n", KEYS)

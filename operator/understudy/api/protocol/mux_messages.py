@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from understudy.api import names
+from understudy.api.protocol.agent_messages import ProtocolError
 from understudy.api.protocol.session_keys import NotAuthentic, expanded
 
 _SALT = b"understudy mux, version 1"
@@ -141,18 +142,21 @@ def order_text(order: Order, nonce: str, keys: MuxKeys) -> str:
 
 
 def read_order(text: str, keys: MuxKeys) -> tuple[Order, str]:
-    """Return the order of a text, and its nonce. Raises NotAuthentic."""
+    """Return the order of a text, and its nonce. Raises NotAuthentic, and ProtocolError for one of another version."""
     message = opened(text, keys.orders)
-    token = Token(*message["token"])
-    order = Order(
-        token.workload_created,
-        token.epoch,
-        message["source"],
-        Token(*message["knows"]),
-        StandingOrder(tuple(message["successors"]), message["silences"]),
-        message["revision"],
-    )
-    return order, message["nonce"]
+    try:
+        token = Token(*message["token"])
+        order = Order(
+            token.workload_created,
+            token.epoch,
+            message["source"],
+            Token(*message["knows"]),
+            StandingOrder(tuple(message["successors"]), message["silences"]),
+            message["revision"],
+        )
+        return order, message["nonce"]
+    except (KeyError, TypeError, ValueError) as error:
+        raise ProtocolError(f"the order is of another version: {error!r}") from error
 
 
 def report_text(report: Report, keys: MuxKeys) -> str:
@@ -174,20 +178,23 @@ def report_text(report: Report, keys: MuxKeys) -> str:
 
 
 def read_report(text: str, keys: MuxKeys) -> Report:
-    """Return the report of a text. Raises NotAuthentic."""
+    """Return the report of a text. Raises NotAuthentic, and ProtocolError for one of another version."""
     message = opened(text, keys.reports)
-    return Report(
-        Token(*message["token"]),
-        message["source"],
-        message["nonce"],
-        message["refused"],
-        message["forwarded"],
-        math.inf if message["since"] is None else message["since"],
-        message["heard"],
-        tuple(message["strangers"]),
-        StandingOrder(tuple(message["successors"]), message["silences"]),
-        message["revision"],
-    )
+    try:
+        return Report(
+            Token(*message["token"]),
+            message["source"],
+            message["nonce"],
+            message["refused"],
+            message["forwarded"],
+            math.inf if message["since"] is None else message["since"],
+            message["heard"],
+            tuple(message["strangers"]),
+            StandingOrder(tuple(message["successors"]), message["silences"]),
+            message["revision"],
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise ProtocolError(f"the report is of another version: {error!r}") from error
 
 
 def _token(token: Token) -> list[float]:

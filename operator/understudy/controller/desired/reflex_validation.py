@@ -9,7 +9,6 @@ from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.controller.pods import instance_pod
 from understudy.ros.rmw import MIDDLEWARE
 
-
 _NO_TOPIC = "spec.gate.reflex: spec.outputs has no topic, and the reflex works only for topics. Remove spec.gate.reflex"
 
 

@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 
 from understudy.api import moments, names
 from understudy.api.base import seconds
+from understudy.api.protocol.agent_messages import ProtocolError
 from understudy.api.protocol.mux_messages import (
     MuxKeys,
     Order,
@@ -24,7 +25,6 @@ from understudy.api.protocol.mux_messages import (
     read_report,
     topics,
 )
-from understudy.api.protocol.session_keys import NotAuthentic
 from understudy.failover.interfaces import Agents, Instances
 from understudy.kube.client import FAILURES, SECRETS, Client
 from understudy.kube.gates.base import GateRecord
@@ -95,7 +95,7 @@ class MuxOrders:
     def _receive(self, text: str, keys: MuxKeys) -> None:
         try:
             report = read_report(text, keys)
-        except NotAuthentic as error:
+        except ProtocolError as error:
             _logger.warning("a report of a mux is ignored: %s", error)
             return
         self._answered = report.nonce
