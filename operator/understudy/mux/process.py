@@ -84,14 +84,20 @@ async def _run(namespace: str, workload: str, outputs: Sequence[Output], token: 
     ways = routes(outputs, graph, wakeups)
     forwarder = Forwarder(ways, derive(token, namespace, workload), ControlJournal(state / "control.json"))
     orders, reports = topics(namespace, workload)
-    exchange = TextExchange(graph, wakeups, reads=orders, writes=reports)
+    texts = ArrivalWakeups()
+    exchange = TextExchange(graph, texts, reads=orders, writes=reports)
     work = _Work(forwarder, exchange)
 
     def arrived() -> None:
         wakeups.clear()
         work.done()
 
+    def ordered() -> None:
+        texts.clear()
+        work.carry_out()
+
     loop.add_reader(wakeups.descriptor, arrived)
+    loop.add_reader(texts.descriptor, ordered)
     _logger.info("mux of %s/%s: %s", namespace, workload, ", ".join(output.name for output in outputs))
     tasks = [asyncio.create_task(_follow(ways, forwarder, work.done)), asyncio.create_task(work.report())]
     stopped = asyncio.create_task(stopping.wait())
@@ -100,7 +106,8 @@ async def _run(namespace: str, workload: str, outputs: Sequence[Output], token: 
         if task.done():
             task.result()
         task.cancel()
-    loop.remove_reader(wakeups.descriptor)
+    for readable in (wakeups, texts):
+        loop.remove_reader(readable.descriptor)
     _logger.info("ended")
 
 
@@ -112,12 +119,16 @@ class _Work:
         self._timer: asyncio.TimerHandle | None = None
         self._wake = asyncio.Event()
 
+    def carry_out(self) -> None:
+        """Carry out the orders that have arrived."""
+        for text in self._exchange.received():
+            self._forwarder.order(text)
+        self.done()
+
     def done(self) -> None:
         """Do what is due now, and again when a silence may be long enough."""
         forwarder = self._forwarder
         forwarder.drain()
-        for text in self._exchange.received():
-            forwarder.order(text)
         if forwarder.changed:
             self._wake.set()
         if self._timer is None and math.isfinite(due := forwarder.due_at):
