@@ -110,6 +110,8 @@ class Order:
     cancel: bool = False
     note: str = ""
     """What the instance stores with the goal (see :meth:`GoalLedger.adopt`)."""
+    withdrawn: bool = False
+    """Whether it is cancelled although no client asked for that: another instance is in control, or none."""
 
 
 @dataclass
@@ -226,12 +228,20 @@ class GoalLedger:
             self._orphaned(goal, now)
 
     def adopt(
-        self, uid: str, id: str, note: str, data: str, ended: tuple[int, str] | None, now: float, ago: float = 0.0
+        self,
+        uid: str,
+        id: str,
+        note: str,
+        data: str,
+        ended: tuple[int, str] | None,
+        now: float,
+        ago: float = 0.0,
+        withdrawn: bool = False,
     ) -> None:
         """Adopt a goal that the active instance has and that is not known here, because the journal was lost.
 
-        ``ended`` has the status and the result if the goal has ended in the meantime, ``ago`` seconds before. Raises KeyError, TypeError
-        and ValueError for an invalid note.
+        ``ended`` has the status and the result if the goal has ended in the meantime, ``ago`` seconds before. ``withdrawn`` is whether a
+        proxy cancelled it without a client's request. Raises KeyError, TypeError and ValueError for an invalid note.
         """
         if uid != self._active or not note:
             return
@@ -246,7 +256,9 @@ class GoalLedger:
         if ended is not None:
             goal.attempts[uid].at, goal.attempts[uid].status = AttemptState.ENDED, ended[0]
             self._accept(goal, now)
-            if ended[0] == ABORTED and data:
+            if withdrawn and ended[0] != SUCCEEDED and data:
+                goal.charge = ""  # it is sent again
+            elif ended[0] == ABORTED and data:
                 goal.unasked, goal.unasked_at = GoalEnd(*ended), now - ago
             else:  # an older agent does not give the data of a goal that has ended, so it cannot be sent again
                 self._finish(goal, GoalEnd(*ended), now)
@@ -346,8 +358,9 @@ class GoalLedger:
                 continue
             rule = self._rules.get(goal.action)
             wanted = goal.open and not attempt.withdrawn and (uid == goal.charge or uid in self._mirrors)
-            cancel = goal.phase is Phase.CANCELING or bool(goal.cancels) or not wanted
-            found.append(Order(attempt.id, goal.action, rule.type if rule else "", goal.data, cancel, goal.note()))
+            asked = goal.phase is Phase.CANCELING or bool(goal.cancels)
+            kind, cancel = rule.type if rule else "", asked or not wanted
+            found.append(Order(attempt.id, goal.action, kind, goal.data, cancel, goal.note(), cancel and not asked))
         return found
 
     def of_action(self, action: str) -> list[Goal]:

@@ -216,7 +216,7 @@ class InstanceLink:
     async def _cancel(self, order: Order) -> None:
         if order.id in self._cancelled:
             return
-        answer = await self._link.request("cancel", {"goal": order.id}, within=WITHIN)
+        answer = await self._link.request("cancel", {"goal": order.id, "withdrawn": order.withdrawn}, within=WITHIN)
         self._cancelled.add(order.id)
         if answer.get("known"):
             self._listener.cancel_answered(self.peer.uid, order.id, bool(answer.get("accepted")))

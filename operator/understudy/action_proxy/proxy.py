@@ -149,7 +149,8 @@ class Proxy:
         elif goal["state"] not in ("waiting", "running"):
             return
         try:
-            self._ledger.adopt(uid, goal["id"], goal.get("note", ""), goal.get("data", ""), ended, CLOCK.now(), ago)
+            note, data, withdrawn = goal.get("note", ""), goal.get("data", ""), bool(goal.get("withdrawn"))
+            self._ledger.adopt(uid, goal["id"], note, data, ended, CLOCK.now(), ago, withdrawn)
         except (KeyError, TypeError, ValueError) as error:
             _logger.error("goal %s of an earlier proxy cannot be adopted: %r", goal["id"], error)
 

@@ -128,6 +128,22 @@ class TestMissingJournal:
         assert world.results == {goal: (ABORTED, "a")}
         assert world.instances["b"].starts == []
 
+    def test_a_goal_that_a_proxy_withdrew_is_sent_again_by_the_next_one(self, world: World) -> None:
+        """A user fences the robot, and the monitor's pod is replaced after the resume."""
+        goal = world.ask()
+        world.want(goal)
+        world.switch("", settled=False, work=False)
+        (order,) = world.ledger.orders("a")
+        assert order.cancel
+        assert order.withdrawn
+        note = order.note
+        world.ledger = GoalLedger()
+        world.switch("a", work=False)
+        world.ledger.adopt("a", goal, note, "goal", (CANCELED, ""), world.now, ago=30.0, withdrawn=True)
+        world.go()
+        assert world.results == {}
+        assert [one.cancel for one in world.ledger.orders("a")] == [False]
+
     def test_a_goal_that_was_aborted_shortly_before_its_instance_is_replaced_continues(self, world: World) -> None:
         """The application of an instance that is being deleted aborts its goals, before the next proxy connects."""
         first, second = world.ask(), world.ask()

@@ -73,6 +73,8 @@ class _Record:
     """waiting (for the server), running, rejected, ended, lost."""
     status: int = _UNKNOWN
     result: bytes = b""
+    withdrawn: bool = False
+    """Whether the proxy cancelled it without a client's request."""
     ended: float = 0.0
     """Monotonic seconds."""
     task: asyncio.Task[None] | None = None
@@ -129,6 +131,8 @@ class TaskGoals:
         Raises Refused.
         """
         record = self._records.get(str(body.get("goal")))
+        if record is not None and record.state in _OPEN:
+            record.withdrawn = body.get("withdrawn") is True
         if record is None or record.state not in _OPEN:
             if record is not None:
                 self._repeat_end(record)
@@ -152,11 +156,12 @@ class TaskGoals:
         now, size = time.monotonic(), 0
         goals: builtins.list[Mapping[str, Any]] = []
         for record in sorted(self._records.values(), key=lambda one: (one.state not in _OPEN, -one.ended)):
-            is_aborted = (record.state, record.status) == ("ended", _ABORTED)
+            is_aborted = record.state == "ended" and (record.status == _ABORTED or record.withdrawn)
             goal = {
                 **record.to_wire(),
                 "note": record.note,
-                # An aborted goal may have to be sent to another instance.
+                "withdrawn": record.withdrawn,
+                # An aborted or withdrawn goal may have to be sent again.
                 "data": base64.b64encode(record.data).decode() if record.state in _OPEN or is_aborted else "",
                 "ago": now - record.ended if record.ended else 0.0,
             }
