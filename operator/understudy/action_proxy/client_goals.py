@@ -114,6 +114,11 @@ class Goal:
         return self.phase is not Phase.ENDED
 
     @property
+    def is_cancelled(self) -> bool:
+        """Whether a client has requested to cancel it, and the instance has accepted that or has not answered yet."""
+        return self.phase is Phase.CANCELING or bool(self.cancels)
+
+    @property
     def status(self) -> int:
         """The status as an action server reports it.
 

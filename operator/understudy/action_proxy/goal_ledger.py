@@ -358,9 +358,9 @@ class GoalLedger:
                 continue
             rule = self._rules.get(goal.action)
             wanted = goal.open and not attempt.withdrawn and (uid == goal.charge or uid in self._mirrors)
-            asked = goal.phase is Phase.CANCELING or bool(goal.cancels)
-            kind, cancel = rule.type if rule else "", asked or not wanted
-            found.append(Order(attempt.id, goal.action, kind, goal.data, cancel, goal.note(), cancel and not asked))
+            kind, withdrawn = rule.type if rule else "", not wanted and not goal.is_cancelled
+            cancel = withdrawn or goal.is_cancelled
+            found.append(Order(attempt.id, goal.action, kind, goal.data, cancel, goal.note(), withdrawn))
         return found
 
     def of_action(self, action: str) -> list[Goal]:
@@ -478,8 +478,7 @@ class GoalLedger:
     def _ended(self, goal: Goal, end: GoalEnd, now: float) -> None:
         """Handle an end at the instance in charge. An abort may be that of an application that received the signal to end, also of a goal
         that its client wants to cancel."""
-        is_cancelled = goal.phase is Phase.CANCELING or bool(goal.cancels)
-        if end.status == SUCCEEDED or (is_cancelled and end.status != ABORTED):
+        if end.status == SUCCEEDED or (goal.is_cancelled and end.status != ABORTED):
             self._finish(goal, end, now)
         else:
             goal.unasked, goal.unasked_at = end, now
@@ -503,7 +502,7 @@ class GoalLedger:
         goal.charge = ""
         if goal.phase is Phase.PENDING:
             return
-        if goal.phase is Phase.CANCELING or goal.cancels:
+        if goal.is_cancelled:
             self._finish(goal, GoalEnd(CANCELED, ""), now)
         elif goal.unasked is not None and self._replaced(goal):
             self._finish(goal, goal.unasked, now)
@@ -556,8 +555,7 @@ class GoalLedger:
             self._finish(goal, goal.unasked, now)
             return
         there = goal.attempts.get(goal.charge)
-        is_cancelled = goal.unasked is None and (bool(goal.cancels) or goal.phase is Phase.CANCELING)
-        if is_cancelled and (there is None or not there.open):
+        if goal.is_cancelled and goal.unasked is None and (there is None or not there.open):
             # No instance has it, so there is nothing to wait for.
             self._finish(goal, GoalEnd(CANCELED, ""), now)
             return

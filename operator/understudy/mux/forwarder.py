@@ -85,8 +85,6 @@ class Forwarder:
                     self.changed = True
         if self._forwarded and math.isnan(self._first):
             self._first = now
-        if not self.control.standing.successors:
-            return
         if (found := switched(self.control, self._heard, now)) is not None:
             former = self.control.source
             try:

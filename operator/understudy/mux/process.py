@@ -164,11 +164,10 @@ async def _follow(routes: Sequence[Route], forwarder: Forwarder, learned: Callab
         if counted != counts or now >= again:
             counts, again = counted, now + LIST_PERIOD
             present = _look(routes, forwarder, found.names)
-            known = len(found.names.keys() & present)
-            await found.update(present)
-            if len(found.names) > known:
+            if await found.update(present):
                 learned()
-            if present - found.names.keys() or len(found.names) > known:
+                again = 0.0
+            elif present - found.names.keys():
                 again = 0.0
         await asyncio.sleep(FOLLOW_PERIOD)
 

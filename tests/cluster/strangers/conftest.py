@@ -15,6 +15,8 @@ from tests.cluster.operators import workload
 from tests.support.cluster import Cluster, Object
 from understudy.api import names
 from understudy.kube.client import Client
+from understudy.kube.gates.base import GateKind
+from understudy.kube.gates.registry import DEFAULT
 
 KINDS: Object = {"apiGroups": [names.GROUP], "resources": ["*"], "verbs": ["*"]}
 PODS: Object = {"apiGroups": [""], "resources": ["pods"], "verbs": ["create"]}
@@ -55,9 +57,15 @@ def gate(cluster: Cluster, release: Release, namespace: str) -> Object:
 
 
 @pytest.fixture
-def compromised_monitor(cluster: Cluster, namespace: str, gate: Object) -> str:
+def kind() -> GateKind:
+    """The kind of that gate."""
+    return DEFAULT
+
+
+@pytest.fixture
+def compromised_monitor(cluster: Cluster, namespace: str, gate: Object, kind: GateKind) -> str:
     """The user name of the monitor of that gate, once the API server applies its rights and the admission policies."""
-    user = monitor_accounts.create(cluster, namespace, monitor_accounts.MINE)
+    user = monitor_accounts.create(cluster, namespace, monitor_accounts.MINE, kind=kind)
     until_refused(
         lambda: cluster.patch(gate, {"metadata": {"labels": {"effective": "no"}}}, user=user, dry_run=True),
         "of its gate only",

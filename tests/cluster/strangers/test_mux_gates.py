@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
-
 import pytest
 
-from tests.cluster import monitor_accounts
 from tests.cluster.conftest import Release
-from tests.cluster.monitor_accounts import ACTIVE, MINE, OTHER, OWNER, STANDBY, refusal, until_refused
+from tests.cluster.monitor_accounts import ACTIVE, MINE, OTHER, OWNER, STANDBY, refusal
 from tests.cluster.operators import Fleet, Operator, policy, workload
 from tests.support.cluster import Cluster, Object, until
 from understudy.api import names
 from understudy.kube.client import Client
-from understudy.kube.gates.base import GateRecord, Reach
+from understudy.kube.gates.base import GateKind, GateRecord, Reach
 from understudy.kube.gates.registry import KINDS
 
 KIND = KINDS["Mux"]
@@ -30,22 +27,9 @@ def gate(cluster: Cluster, release: Release, namespace: str) -> Object:
 
 
 @pytest.fixture
-def compromised_monitor(cluster: Cluster, namespace: str, gate: Object) -> str:
-    """The user name of the monitor of that gate, once the API server applies its rights and the admission policies."""
-    user = monitor_accounts.create(cluster, namespace, MINE, kind=KIND)
-    until_refused(
-        lambda: cluster.patch(gate, {"metadata": {"labels": {"effective": "no"}}}, user=user, dry_run=True),
-        "of its gate only",
-        "the admission policy of gates to be enforced",
-    )
-    return user
-
-
-@pytest.fixture
-async def correct_monitor(cluster: Cluster, namespace: str, compromised_monitor: str) -> AsyncIterator[Client]:
-    """The API client of the same monitor, with a token of its account."""
-    async with Client(monitor_accounts.access(cluster, namespace, MINE)) as client:
-        yield client
+def kind() -> GateKind:
+    """The kind of that gate."""
+    return KIND
 
 
 @pytest.mark.parametrize("holder", [STANDBY, None])

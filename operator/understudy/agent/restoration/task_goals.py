@@ -131,12 +131,11 @@ class TaskGoals:
         Raises Refused.
         """
         record = self._records.get(str(body.get("goal")))
-        if record is not None and record.state in _OPEN:
-            record.withdrawn = body.get("withdrawn") is True
         if record is None or record.state not in _OPEN:
             if record is not None:
                 self._repeat_end(record)
             return {"known": record is not None and record.state == "ended", "accepted": False}
+        record.withdrawn = body.get("withdrawn") is True
         if record.state == "waiting":
             if record.task is not None:
                 record.task.cancel()
@@ -156,13 +155,15 @@ class TaskGoals:
         now, size = time.monotonic(), 0
         goals: builtins.list[Mapping[str, Any]] = []
         for record in sorted(self._records.values(), key=lambda one: (one.state not in _OPEN, -one.ended)):
-            is_aborted = record.state == "ended" and (record.status == _ABORTED or record.withdrawn)
+            # An aborted or withdrawn goal may have to be sent again.
+            is_needed = record.state in _OPEN or (
+                record.state == "ended" and (record.status == _ABORTED or record.withdrawn)
+            )
             goal = {
                 **record.to_wire(),
                 "note": record.note,
                 "withdrawn": record.withdrawn,
-                # An aborted or withdrawn goal may have to be sent again.
-                "data": base64.b64encode(record.data).decode() if record.state in _OPEN or is_aborted else "",
+                "data": base64.b64encode(record.data).decode() if is_needed else "",
                 "ago": now - record.ended if record.ended else 0.0,
             }
             length = len(json.dumps(goal))

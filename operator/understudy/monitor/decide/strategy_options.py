@@ -33,10 +33,9 @@ class StrategyOptions:
         policy, settings = self._view.policy, self._view.settings
         assert settings is not None, "the cluster view has started, so there are settings"
         restore_within = seconds(policy.state.within) if policy is not None else self._context.restore_within
-        spec = self._view.spec
-        # A mux drops what an instance sent before it was in control.
-        expires = spec is not None and not spec.gate.is_at_robot
-        valid = [o.valid_for(spec.gate.reflex) for o in spec.outputs if o.topic] if spec is not None and expires else []
+        spec, valid = self._view.spec, []
+        if spec is not None and not spec.gate.is_at_robot:  # a mux drops what an instance sent before it was in control
+            valid = [output.valid_for(spec.gate.reflex) for output in spec.outputs if output.topic]
         expiry = max((length for length in valid if length <= EXPIRY_MOST), default=0.0)
         return replace(
             self._context, workload_uid=settings.uid, restore_within=restore_within, expiry=expiry, holds=self.holds

@@ -28,8 +28,8 @@ class WriterInstances:
         self.names: dict[bytes, str] = {}
         """The name of the pod, by the GID of a writer; empty for a writer of no instance."""
 
-    async def update(self, present: Collection[bytes]) -> None:
-        """Forget the writers that are gone, and ask for those that are new."""
+    async def update(self, present: Collection[bytes]) -> bool:
+        """Forget the writers that are gone, and ask for those that are new. Returns whether discovery has reported any."""
         for gone in self.names.keys() - present:
             del self.names[gone]
         if unknown := set(present) - self.names.keys():
@@ -42,6 +42,8 @@ class WriterInstances:
                 _logger.warning("discovery cannot be asked whose writers there are: %s", error)
             else:
                 self.names.update(found)  # others hold this mapping
+                return bool(found)
+        return False
 
 
 def _own_address() -> str:

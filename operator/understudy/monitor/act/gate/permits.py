@@ -150,8 +150,7 @@ class Permits:
         while True:
             self._wake.clear()
             spec = self._cluster.view.spec
-            gate = spec.gate if spec is not None else None
-            if spec is not None and gate is not None and gate.readers_choose and self._cluster.gate.exists:
+            if spec is not None and spec.gate.readers_choose and self._cluster.gate.exists:
                 self._refresh(spec)
                 self._renew(spec)
             with contextlib.suppress(TimeoutError):
