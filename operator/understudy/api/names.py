@@ -297,6 +297,11 @@ def mux(workload: str) -> str:
     return f"{workload}-mux"
 
 
+def on_board(workload: str) -> str:
+    """Name of the ConfigMap with the environment of a workload's instance on board (``envFrom``), besides that of the robot."""
+    return f"{workload}-on-board"
+
+
 def held(pool: str) -> str:
     """Name of the object that isolates a pool's unclaimed pods."""
     return f"{pool}-held"

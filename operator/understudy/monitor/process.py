@@ -167,7 +167,14 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         if reports is not None:
             group.create_task(observer.follow_writers())
             group.create_task(
-                MuxOrders(client, view, observer.graph, reports, lambda: ready_names(fleet, agents)).run()
+                MuxOrders(
+                    client,
+                    view,
+                    observer.graph,
+                    reports,
+                    lambda: ready_names(fleet, agents, gate.state.active_uid),
+                    monitor_loop.act.safety,
+                ).run()
             )
         else:
             group.create_task(readership.run())

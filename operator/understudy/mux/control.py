@@ -10,7 +10,7 @@ All times are seconds of one monotonic clock of the process.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from understudy.api.protocol.mux_messages import Order, StandingOrder, Token
@@ -30,6 +30,8 @@ class Control:
     """Revision of the standing order."""
     replaced: tuple[str, ...] = ()
     """Whom the mux has replaced in this epoch: they are not forwarded again without an order."""
+    on_board: bool = False
+    """Whether the source is the instance on board. It only stands in: any newer order of the cluster replaces it."""
 
 
 class Refused(Exception):
@@ -39,7 +41,9 @@ class Refused(Exception):
 def ordered(control: Control, order: Order) -> Control:
     """Return the control after an order. The same order again changes nothing.
 
-    Raises Refused if the order is older than the control, or was given without knowing a switch of the mux's own.
+    An order of the present epoch that knows a switch to the instance on board returns control from it. One of a newer epoch that names
+    nobody leaves that instance in control, if it is still allowed to. Raises Refused if the order is older than the control, or was given
+    without knowing a switch of the mux's own to another instance of the cluster.
     """
     present = replace(control.token, count=0)
     if order.token < present:
@@ -53,18 +57,28 @@ def ordered(control: Control, order: Order) -> Control:
             raise Refused(
                 f"the order of epoch {order.epoch} names {_named(order.source)}, and an earlier one {_named(control.ordered)}"
             )
+        if control.on_board and order.source and order.knows == control.token:
+            return Control(_counted(control.token), order.source, order.source, order.standing, order.revision)
         if order.revision <= control.revision:
             return control
         return replace(control, standing=order.standing, revision=order.revision)
     is_same_workload = order.workload_created == present.workload_created
     # Nobody is put in control by an order that names nobody, or whom the mux forwards already.
-    undoes = order.source not in ("", control.source)
+    undoes = order.source not in ("", control.source) and not control.on_board
     if undoes and is_same_workload and control.token.count and order.knows < control.token:
         raise Refused(
             f"the mux has switched to {_named(control.source)} by itself (switch {control.token.count} of epoch {present.epoch}), which "
             "the order does not take into account"
         )
+    if control.on_board and is_same_workload and not order.source and _is_on_board(control.source, order.standing):
+        return Control(
+            _counted(order.token), control.source, "", order.standing, order.revision, control.replaced, on_board=True
+        )
     return Control(order.token, order.source, order.source, order.standing, order.revision)
+
+
+def _counted(token: Token) -> Token:
+    return replace(token, count=token.count + 1)
 
 
 def _named(source: str) -> str:
@@ -95,9 +109,7 @@ class Heard:
 
 def due_at(control: Control, heard: Heard) -> float:
     """Return when :func:`switched` must be asked at the latest; infinite if no standing order applies."""
-    if not control.source or not _successors(control):
-        return math.inf
-    return heard.silent_at(control.source, control.standing.silences)
+    return min((heard.silent_at(control.source, silences) for _, silences in _choices(control)), default=math.inf)
 
 
 def switched(control: Control, heard: Heard, now: float) -> Control | None:
@@ -105,20 +117,43 @@ def switched(control: Control, heard: Heard, now: float) -> Control | None:
 
     All samples that had arrived before ``now`` must have been noted: a process that stood still has not heard anybody meanwhile.
     """
-    silences = control.standing.silences
-    if now < due_at(control, heard):
-        return None
-    for source in _successors(control):
-        if heard.drives(source, silences, now):
+    for source, silences in _choices(control):
+        if now >= heard.silent_at(control.source, silences) and heard.drives(source, silences, now):
             return replace(
                 control,
-                token=replace(control.token, count=control.token.count + 1),
+                token=_counted(control.token),
                 source=source,
                 replaced=(*control.replaced, control.source),
+                on_board=_is_on_board(source, control.standing),
             )
     return None
 
 
-def _successors(control: Control) -> tuple[str, ...]:
-    not_again: Collection[str] = {control.source, *control.replaced}
-    return tuple(one for one in control.standing.successors if one not in not_again)
+def _choices(control: Control) -> list[tuple[str, Mapping[str, float]]]:
+    """Return who may be forwarded next, each with the silences after which."""
+    standing, not_again = control.standing, {control.source, *control.replaced}
+    # If nobody is in control, somebody decided that. Only who stands in may end it.
+    successors = [one for one in standing.successors if one not in not_again] if control.source else []
+    found = [(one, standing.silences) for one in successors]
+    if (on_board := standing.on_board) is not None and control.source != on_board.name:
+        found.append((on_board.name, on_board.silences))
+    return found
+
+
+def _is_on_board(source: str, standing: StandingOrder) -> bool:
+    return standing.on_board is not None and standing.on_board.name == source
+
+
+def undriven_at(control: Control, heard: Heard) -> float:
+    """Return when safe commands may begin, if nobody is heard until then; infinite if the standing order has none.
+
+    If an instance is in control, it may be idle. So they begin only if its silence counts, and only if it is silent on all outputs.
+    """
+    standing = control.standing
+    if not standing.safe:
+        return math.inf
+    if not control.source:
+        return heard.since + standing.safe_after
+    silences = [*standing.silences.values(), *(standing.on_board.silences.values() if standing.on_board else ())]
+    last = max(heard.last.get(control.source, {}).values(), default=0.0)
+    return max(heard.since, last) + min(silences, default=math.inf) + standing.safe_after

@@ -8,7 +8,7 @@ import os
 from dataclasses import asdict
 from pathlib import Path
 
-from understudy.api.protocol.mux_messages import StandingOrder, Token
+from understudy.api.protocol.mux_messages import Token, read_standing, standing_message
 from understudy.mux.control import Control
 
 _logger = logging.getLogger(__name__)
@@ -24,7 +24,7 @@ class ControlJournal:
         """Store the control. Raises OSError, and then nothing is stored."""
         temporary = self._path.with_suffix(".new")
         with open(temporary, "w") as file:
-            json.dump(asdict(control), file)
+            json.dump(asdict(control) | {"standing": standing_message(control.standing)}, file)
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, self._path)
@@ -41,14 +41,14 @@ class ControlJournal:
         """
         try:
             found = json.loads(self._path.read_text())
-            standing = StandingOrder(tuple(found["standing"]["successors"]), found["standing"]["silences"])
             return Control(
                 Token(**found["token"]),
                 found["source"],
                 found["ordered"],
-                standing,
+                read_standing(found["standing"]),
                 found["revision"],
                 tuple(found["replaced"]),
+                found["on_board"],
             )
         except FileNotFoundError:
             return Control()

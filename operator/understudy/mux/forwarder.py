@@ -11,11 +11,11 @@ import math
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
-from typing import Protocol
+from typing import Any, Protocol
 
 from understudy.api.protocol.agent_messages import ProtocolError
-from understudy.api.protocol.mux_messages import MuxKeys, Report, read_order, report_text
-from understudy.mux.control import Control, Heard, Refused, due_at, ordered, switched
+from understudy.api.protocol.mux_messages import MuxKeys, Report, SafeCommand, read_order, report_text
+from understudy.mux.control import Control, Heard, Refused, due_at, ordered, switched, undriven_at
 
 _logger = logging.getLogger(__name__)
 
@@ -35,6 +35,9 @@ class Route(Protocol):
 
     def forget(self) -> None:
         """Drop what is held: another instance is in control from now on."""
+
+    def command(self, values: Mapping[str, Any]) -> None:
+        """Send a safe command, given by the values of its fields. Raises MessageError."""
 
 
 class Journal(Protocol):
@@ -70,13 +73,20 @@ class Forwarder:
         self._forwarded = 0
         self._begun: set[str] = set()
         """The outputs of the present instance that were forwarded."""
+        self._looked = clock()
+        """When :meth:`drain` was called last."""
+        self._commanded: dict[str, float] = {}
+        """When the last safe command was sent, by topic."""
+        self._safe_sent = 0
+        self._unsendable: set[str] = set()
+        """Topics on which a safe command could not be sent."""
         self._nonce = self._refused = ""
         self.changed = True
         """Whether a report is due because something changed."""
 
     def drain(self) -> None:
         """Take what arrived, and carry out a standing order that is due. Call it when something arrives, and at :attr:`due_at`."""
-        now = self._clock()
+        now = self._looked = self._clock()
         for route in self._routes:
             if forwarded := route.drain(self._judging(route.output, now)):
                 self._forwarded += forwarded
@@ -85,24 +95,56 @@ class Forwarder:
                     self.changed = True
         if self._forwarded and math.isnan(self._first):
             self._first = now
-        if (found := switched(self.control, self._heard, now)) is not None:
-            former = self.control.source
-            try:
-                self._decide(found, now)
-            except OSError as error:
-                _logger.error(
-                    "%s is silent, and %s is not forwarded, because that cannot be kept: %s",
-                    former,
-                    found.source,
-                    error,
-                )
-                return
-            _logger.warning("%s is silent: %s is forwarded from now on, without an order", former, found.source)
+        self._switch(now)
+        self._command(now)
+
+    def _switch(self, now: float) -> None:
+        if (found := switched(self.control, self._heard, now)) is None:
+            return
+        former = self.control.source or "nobody"
+        try:
+            self._decide(found, now)
+        except OSError as error:
+            _logger.error(
+                "%s is silent, and %s is not forwarded, because that cannot be kept: %s", former, found.source, error
+            )
+            return
+        _logger.warning("%s is silent: %s is forwarded from now on, without an order", former, found.source)
+
+    def _command(self, now: float) -> None:
+        """Send the safe commands that are due."""
+        if now < undriven_at(self.control, self._heard):
+            return
+        for safe in self.control.standing.safe:
+            if now < self._commanded.get(safe.topic, -math.inf) + safe.every:
+                continue
+            self._commanded[safe.topic] = now
+            for route in self._routes:
+                if route.output == safe.topic:
+                    self._send_safe(route, safe)
+
+    def _send_safe(self, route: Route, safe: SafeCommand) -> None:
+        """Send one. An error is not raised, because nobody else commands the robot and the next message may get through."""
+        try:
+            route.command(safe.message)
+        except Exception:  # whatever rclpy raises
+            if safe.topic not in self._unsendable:
+                _logger.exception("could not send a safe command on %s; it is sent again after its period", safe.topic)
+            self._unsendable.add(safe.topic)
+        else:
+            self._unsendable.discard(safe.topic)
+            self._safe_sent += 1
 
     @property
     def due_at(self) -> float:
-        """When :meth:`drain` must be called at the latest."""
-        return due_at(self.control, self._heard)
+        """When :meth:`drain` must be called at the latest, although nothing arrives."""
+        # What was due when it looked last was judged. If nobody else was heard then, only an arrival changes that.
+        dues = [due for due in (due_at(self.control, self._heard),) if due > self._looked]
+        begins = undriven_at(self.control, self._heard)
+        dues += [
+            max(begins, self._commanded.get(safe.topic, -math.inf) + safe.every) for safe in self.control.standing.safe
+        ]
+        return min(dues, default=math.inf)
 
     def order(self, text: str) -> None:
         """Carry out an order, unless it is refused. A text that is no authentic order is ignored."""
@@ -145,8 +187,10 @@ class Forwarder:
                 since,
                 {name: outputs for name, outputs in heard.items() if outputs},
                 self.strangers,
-                control.standing,
+                control.standing.digest,
                 control.revision,
+                control.on_board,
+                self._safe_sent,
             ),
             self._keys,
         )

@@ -131,7 +131,11 @@ class _Work:
         forwarder.drain()
         if forwarder.changed:
             self._wake.set()
-        if self._timer is None and math.isfinite(due := forwarder.due_at):
+        due = forwarder.due_at
+        if self._timer is not None and due < self._timer.when():
+            self._timer.cancel()
+            self._timer = None
+        if self._timer is None and math.isfinite(due):
             # The loop's clock is the forwarder's. A sample that arrives meanwhile only makes the timer look too early once.
             self._timer = asyncio.get_running_loop().call_at(due, self._due)
 

@@ -46,6 +46,26 @@ def test_instances_are_in_a_partition_and_the_robot_needs_no_profile() -> None:
     assert json.loads(settings[names.OUTPUTS_VARIABLE]) == [{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}]
 
 
+def test_an_instance_on_board_gets_its_name_and_the_profile_of_the_instances() -> None:
+    gate = {"kind": "Mux", "mux": {"onBoard": {"name": "home"}}}
+    maps = applied(World(workload(gate=gate), policy("hot"), hot()).plan(), "configmaps")
+    variables = maps["w-on-board"]["data"]
+    assert variables == {names.POD_VARIABLE: "home", MIDDLEWARE.settings_variable: "/etc/understudy/profiles.xml"}
+    assert "w-on-board" not in applied(plan(), "configmaps")
+
+
+def test_an_instance_on_board_needs_a_topic_by_whose_silence_the_mux_notices_that_it_is_due() -> None:
+    world = World(
+        workload(
+            gate={"kind": "Mux", "mux": {"onBoard": {}}}, outputs=[{"service": "/grip", "type": "std_srvs/srv/Trigger"}]
+        ),
+        policy("hot"),
+        hot(),
+    )
+    found: Object = world.condition("Accepted")
+    assert (found["status"], "spec.gate.mux.onBoard" in found["message"]) == ("False", True)
+
+
 def test_the_monitor_reads_the_partitions_and_shares_a_token_with_the_mux_that_no_agent_has() -> None:
     made = plan()
     (container,) = applied(made, "deployments")["w-monitor"]["spec"]["template"]["spec"]["containers"]

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from understudy.api.protocol.mux_messages import Order, StandingOrder, Token
-from understudy.mux.control import Control, Heard, Refused, due_at, ordered, switched
+from understudy.api.protocol.mux_messages import OnBoard, Order, SafeCommand, StandingOrder, Token
+from understudy.mux.control import Control, Heard, Refused, due_at, ordered, switched, undriven_at
 
 SILENCES = {"/cmd_vel": 0.1, "/fork": 0.5}
 STANDING = StandingOrder(successors=("w-2", "w-3", "onboard"), silences=SILENCES)
@@ -123,6 +123,103 @@ def test_orders_that_were_lost_do_not_prevent_later_ones() -> None:
     assert ordered(CONTROL, replace(ORDER, epoch=9, source="w-3")).source == "w-3"
 
 
+HOME = OnBoard("home", {"/cmd_vel": 1.0, "/fork": 1.0})
+HOMEWARD = replace(ORDER, standing=StandingOrder(on_board=HOME))
+
+
+def on_board(order: Order = HOMEWARD) -> Control:
+    """The control after the instance of an order has been silent, and the one on board was not."""
+    found = switched(ordered(Control(), order), heard(10.0, home=0.0), 10.0)
+    assert found is not None
+    assert found.source == "home"
+    return found
+
+
+def test_the_instance_on_board_is_forwarded_after_everybody_else() -> None:
+    standing = replace(STANDING, on_board=HOME)
+    control = ordered(Control(), replace(ORDER, standing=standing))
+    assert switched(control, heard(10.0, w_1=0.5, home=0.0), 10.0) is None, "its own silence is longer"
+    assert due_at(control, heard(10.0, w_1=0.0)) == pytest.approx(10.1)
+    both = switched(control, heard(10.0, w_1=2.0, w_2=0.0, home=0.0), 10.0)
+    assert both is not None
+    assert both.source == "w-2"
+    alone = switched(control, heard(10.0, w_1=2.0, home=0.0), 10.0)
+    assert alone is not None
+    assert (alone.source, alone.token, alone.on_board) == ("home", Token(1000.0, 5, 1), True)
+
+
+def test_the_instance_on_board_is_forwarded_without_a_reflex_too() -> None:
+    assert on_board().on_board
+
+
+def test_the_instance_on_board_drives_if_the_gate_was_closed_for_a_recovery_and_nobody_follows() -> None:
+    closed = ordered(Control(), replace(HOMEWARD, source=""))
+    assert switched(closed, heard(10.5, since=10.0, home=0.0), 10.5) is None
+    found = switched(closed, heard(11.0, since=10.0, home=0.0), 11.0)
+    assert found is not None
+    assert found.source == "home"
+
+
+def test_nobody_drives_after_a_fence() -> None:
+    fenced = ordered(on_board(), replace(ORDER, epoch=6, source="", standing=StandingOrder()))
+    assert (fenced.source, fenced.on_board) == ("", False)
+    assert switched(fenced, heard(100.0, home=0.0, w_1=0.0), 100.0) is None
+
+
+def test_successors_do_not_end_that_nobody_is_in_control() -> None:
+    closed = ordered(Control(), replace(ORDER, source=""))
+    assert switched(closed, heard(100.0, w_2=0.0), 100.0) is None
+
+
+def test_control_returns_from_on_board_by_an_order_of_the_same_epoch_that_knows_the_switch() -> None:
+    control = on_board()
+    assert ordered(control, HOMEWARD) is control, "the order that it had"
+    assert ordered(control, replace(HOMEWARD, revision=1)).source == "home"
+    returned = ordered(control, replace(HOMEWARD, knows=control.token))
+    assert (returned.source, returned.token, returned.on_board) == ("w-1", Token(1000.0, 5, 2), False)
+    again = switched(returned, heard(20.0, home=0.0), 20.0)
+    assert again is not None
+    assert (again.source, again.token.count) == ("home", 3)
+
+
+def test_a_newer_order_replaces_the_instance_on_board_also_without_knowing_of_it() -> None:
+    after = ordered(on_board(), replace(HOMEWARD, epoch=6, source="w-3"))
+    assert (after.source, after.token, after.on_board) == ("w-3", Token(1000.0, 6), False)
+
+
+def test_the_instance_on_board_stays_while_a_recovery_has_closed_the_gate() -> None:
+    after = ordered(on_board(), replace(HOMEWARD, epoch=6, source=""))
+    assert (after.source, after.token, after.on_board) == ("home", Token(1000.0, 6, 1), True)
+
+
+def test_who_was_cut_off_does_not_take_over_from_the_instance_on_board_by_itself() -> None:
+    standing = replace(STANDING, on_board=HOME)
+    control = on_board(replace(ORDER, standing=standing))
+    assert switched(control, heard(11.0, w_1=0.0, w_2=0.0, home=0.0), 11.0) is None
+    silent = switched(control, heard(13.0, w_1=0.0, w_2=0.0, home=2.0), 13.0)
+    assert silent is not None
+    assert (silent.source, silent.on_board) == ("w-2", False), (
+        "but it does if that one is silent, and it was not replaced"
+    )
+
+
+SAFE = StandingOrder(safe=(SafeCommand("/cmd_vel", {}, 0.1),), safe_after=0.2)
+
+
+def test_safe_commands_begin_when_nobody_is_in_control_for_long_enough() -> None:
+    closed = ordered(Control(), replace(ORDER, source="", standing=SAFE))
+    assert undriven_at(closed, heard(10.0, since=9.9, w_1=0.0)) == pytest.approx(10.1)
+    assert undriven_at(replace(closed, standing=StandingOrder()), heard(10.0)) == float("inf")
+
+
+def test_safe_commands_begin_during_control_only_if_a_silence_counts_and_on_no_output_is_anybody_heard() -> None:
+    idle = ordered(Control(), replace(ORDER, standing=SAFE))
+    assert undriven_at(idle, heard(10.0, w_1=9.0)) == float("inf")
+    counted = ordered(Control(), replace(ORDER, standing=replace(SAFE, on_board=HOME)))
+    last = Heard(0.0, {"w-1": {"/cmd_vel": 5.0, "/fork": 8.0}})
+    assert undriven_at(counted, last) == pytest.approx(9.2)
+
+
 names = st.sampled_from(["w-1", "w-2", "w-3", "onboard"])
 orders = st.builds(
     Order,
@@ -130,12 +227,14 @@ orders = st.builds(
     epoch=st.integers(0, 5),
     source=names | st.just(""),
     knows=st.builds(Token, st.sampled_from([1000.0, 2000.0]), st.integers(0, 5), st.integers(0, 3)),
-    standing=st.builds(StandingOrder, st.lists(names, max_size=3).map(tuple), st.just(SILENCES)),
+    standing=st.builds(
+        StandingOrder, st.lists(names, max_size=3).map(tuple), st.just(SILENCES), st.none() | st.just(HOME)
+    ),
     revision=st.integers(0, 2),
 )
 
 
-@given(steps=st.lists(orders | st.dictionaries(names, st.floats(0, 1), max_size=4), max_size=20))
+@given(steps=st.lists(orders | st.dictionaries(names | st.just("home"), st.floats(0, 1), max_size=4), max_size=20))
 def test_control_only_moves_forward_and_changes_hands_with_a_new_token_only(
     steps: list[Order | dict[str, float]],
 ) -> None:
@@ -158,4 +257,4 @@ def test_control_only_moves_forward_and_changes_hands_with_a_new_token_only(
             and before.token.count
             and control.token.workload_created == before.token.workload_created
         ):
-            assert control.source == before.source or step.knows >= before.token
+            assert control.source == before.source or step.knows >= before.token or before.on_board

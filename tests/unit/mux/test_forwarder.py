@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from understudy.api.protocol.mux_messages import Order, Report, StandingOrder, Token, derive, order_text, read_report
+from understudy.api.protocol.mux_messages import (
+    OnBoard,
+    Order,
+    Report,
+    SafeCommand,
+    StandingOrder,
+    Token,
+    derive,
+    order_text,
+    read_report,
+)
 from understudy.mux.control import Control
 from understudy.mux.control_journal import ControlJournal
 from understudy.mux.forwarder import Forwarder
@@ -41,6 +52,11 @@ class GivenTopic:
 
     def forget(self) -> None:
         self.forgotten += 1
+
+    def command(self, values: Mapping[str, Any]) -> None:
+        if values.get("field") == "wrong":
+            raise ValueError("no such field")
+        self.forwarded.append("safe")
 
 
 class Stand:
@@ -120,6 +136,69 @@ def test_a_silent_instance_is_replaced_without_an_order(stand: Stand) -> None:
     assert (report.source, report.token) == ("w-2", Token(1000.0, 5, 1))
     stand.after(0.01, "w-1", "w-2")
     assert stand.topic.forwarded == ["w-1", "w-2"], "the first one does not come back by itself"
+
+
+def test_a_silence_that_nobody_can_end_is_looked_at_once(stand: Stand) -> None:
+    stand.order(ORDER)
+    stand.after(0.1, "w-1")
+    assert stand.mux.due_at == pytest.approx(stand.now + 0.5)
+    stand.after(0.5)
+    assert stand.mux.due_at == math.inf, "w-2 is silent too, so only its next sample changes anything"
+    stand.after(0.1, "w-2")
+    assert stand.report.source == "w-2"
+
+
+SAFE = replace(ORDER, standing=StandingOrder(safe=(SafeCommand("/cmd_vel", {}, 0.1),), safe_after=0.2))
+
+
+def test_safe_commands_are_sent_at_their_period_while_nobody_is_in_control_and_end_with_an_instance(
+    stand: Stand,
+) -> None:
+    stand.order(replace(SAFE, source=""))
+    stand.after(0.1, "w-1")
+    assert stand.topic.forwarded == []
+    for _ in range(3):
+        stand.now = stand.mux.due_at
+        stand.mux.drain()
+    assert stand.topic.forwarded == ["safe"] * 3
+    assert (stand.now, stand.report.safe_sent) == (pytest.approx(100.4), 3)
+    stand.order(replace(SAFE, epoch=6))
+    stand.after(10.0)
+    stand.after(0.0, "w-1")
+    assert stand.topic.forwarded == ["safe"] * 3 + ["w-1"], "an instance in control may be idle"
+    stand.start()
+    stand.after(10.0)
+    assert stand.topic.forwarded[-1] == "w-1"
+
+
+def test_safe_commands_are_sent_if_an_instance_whose_silence_counts_is_silent_and_nobody_follows(stand: Stand) -> None:
+    standing = replace(SAFE.standing, on_board=OnBoard("home", {"/cmd_vel": 1.0}))
+    stand.order(replace(SAFE, standing=standing))
+    stand.after(0.0, "w-1")
+    stand.after(1.19)
+    assert stand.topic.forwarded == ["w-1"]
+    stand.after(0.02)
+    assert stand.topic.forwarded == ["w-1", "safe"]
+    stand.after(0.01, "w-1")
+    stand.after(0.5)
+    assert stand.topic.forwarded == ["w-1", "safe", "w-1"]
+
+
+def test_a_safe_command_that_cannot_be_sent_ends_nothing(stand: Stand) -> None:
+    standing = replace(SAFE.standing, safe=(SafeCommand("/cmd_vel", {"field": "wrong"}, 0.1),))
+    stand.order(replace(SAFE, source="", standing=standing))
+    stand.after(1.0)
+    stand.after(1.0)
+    assert (stand.topic.forwarded, stand.report.safe_sent) == ([], 0)
+
+
+def test_a_mux_that_restarts_follows_its_standing_order(stand: Stand) -> None:
+    standing = replace(
+        SAFE.standing, successors=("w-2",), silences={"/cmd_vel": 0.5}, on_board=OnBoard("home", {"/cmd_vel": 1.0})
+    )
+    stand.order(replace(SAFE, standing=standing))
+    stand.start()
+    assert stand.mux.control.standing == standing
 
 
 def test_a_process_that_stood_still_hears_first_what_arrived_meanwhile(stand: Stand) -> None:

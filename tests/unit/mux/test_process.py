@@ -20,8 +20,10 @@ from tests.unit.ros.processes import Processes
 from tests.unit.ros.test_forwarded_topic import CHAT, HEAR, OUTPUTS, TALK
 from understudy.api import names
 from understudy.api.protocol.mux_messages import (
+    OnBoard,
     Order,
     Report,
+    SafeCommand,
     StandingOrder,
     Token,
     derive,
@@ -148,3 +150,40 @@ def test_a_silent_instance_is_replaced_while_nobody_gives_orders(stand: Stand) -
     first.kill()
     assert stand.until("w-2").token == Token(1000.0, 5, 1)
     assert stand.heard() == ["w-1", "w-2"]
+
+
+def test_the_instance_on_board_drives_while_the_others_are_cut_off_and_a_restart_of_the_mux_changes_nothing(
+    stand: Stand,
+) -> None:
+    first = stand.instance("w-1")
+    stand.instance("home")
+    order = replace(ORDER, standing=StandingOrder(on_board=OnBoard("home", {CHAT: 0.5})))
+    while not {"w-1", "home"} <= stand.report().heard.keys():
+        pass
+    stand.order(order)
+    stand.until("w-1")
+    first.kill()
+    report = stand.until("home")
+    assert (report.token, report.on_board) == (Token(1000.0, 5, 1), True)
+    stand.mux.kill()
+    stand.start()
+    stand.until("home")
+    stand.instance("w-1")
+    while "w-1" not in (report := stand.report()).heard:
+        assert report.source == "home"
+    stand.order(replace(order, knows=report.token))
+    assert stand.until("w-1").token == Token(1000.0, 5, 2)
+    assert stand.heard() == ["w-1", "home", "w-1"]
+
+
+def test_the_robot_receives_safe_commands_from_nobody_in_control_and_none_beside_an_instance(stand: Stand) -> None:
+    stand.instance("w-1")
+    safe = StandingOrder(safe=(SafeCommand(CHAT, {"data": "safe 0"}, 0.02),), safe_after=0.1)
+    stand.order(replace(ORDER, source="", standing=safe))
+    end = time.monotonic() + 30
+    while stand.heard() != ["safe"]:
+        assert time.monotonic() < end
+    stand.order(replace(ORDER, epoch=6, standing=safe))
+    stand.until("w-1")
+    assert stand.heard() in (["safe", "w-1"], ["w-1"]), "no safe command after the first one of the instance"
+    assert stand.report().safe_sent

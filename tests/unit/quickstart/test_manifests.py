@@ -27,6 +27,8 @@ def of_kind(kind: str) -> list[dict[str, Any]]:
 def test_the_tests_cover_every_file() -> None:
     assert [str(f.relative_to(MANIFESTS)) for f in FILES] == [
         "managed/robotworkload.yaml",
+        "mux/on-board/robot.yaml",
+        "mux/on-board/robotworkload.yaml",
         "mux/robot.yaml",
         "mux/robotworkload.yaml",
         "robot.yaml",
@@ -83,10 +85,22 @@ def test_the_robot_mounts_its_profiles_at_the_expected_path() -> None:
     assert mounts["profiles"] == "/etc/understudy"
 
 
-def test_the_mux_of_a_robot_has_what_understudy_writes_for_it_where_it_looks_for_it() -> None:
-    pod = load("mux/robot.yaml")[0]["spec"]["template"]["spec"]
+def test_the_instance_on_board_has_what_understudy_writes_for_it_where_it_looks_for_it() -> None:
+    pod = load("mux/on-board/robot.yaml")[0]["spec"]["template"]["spec"]
+    (there,) = (container for container in pod["containers"] if container["name"] == "on-board")
+    (workload,) = {w["metadata"]["name"] for w in load("mux/on-board/robotworkload.yaml")}
+    maps = {one["configMapRef"]["name"] for one in there["envFrom"]}
+    assert maps == {names.robot_env(workload), names.on_board(workload)}
+    mounts = {mount["mountPath"]: mount["name"] for mount in there["volumeMounts"]}
+    volumes = {volume["name"]: volume for volume in pod["volumes"]}
+    assert volumes[mounts["/etc/understudy"]]["configMap"]["name"] == names.instance_profiles(workload)
+
+
+@pytest.mark.parametrize("folder", ["mux", "mux/on-board"])
+def test_the_mux_of_a_robot_has_what_understudy_writes_for_it_where_it_looks_for_it(folder: str) -> None:
+    pod = load(f"{folder}/robot.yaml")[0]["spec"]["template"]["spec"]
     (mux,) = (container for container in pod["containers"] if container["name"] == "mux")
-    (workload,) = {w["metadata"]["name"] for w in load("mux/robotworkload.yaml")}
+    (workload,) = {w["metadata"]["name"] for w in load(f"{folder}/robotworkload.yaml")}
     maps = {one["configMapRef"]["name"] for one in mux["envFrom"]}
     assert (mux["args"], maps) == (["mux"], {names.robot_env(workload), names.mux(workload)})
     mounts = {mount["mountPath"]: mount["name"] for mount in mux["volumeMounts"]}

@@ -183,6 +183,35 @@ class GatePeer(Model):
     """Labels of the pods. Absent or empty: all pods of these namespaces."""
 
 
+@with_rules(length("after", "20ms", "1h"))
+class OnBoard(Model):
+    """An instance at the robot that Understudy does not run, such as a container of the robot's pod or a process of its computer.
+
+    It always runs and sends on all outputs. The mux forwards it only while nobody else sends.
+    """
+
+    name: ObjectName = "on-board"
+    """Name of the instance. Set the environment variable UNDERSTUDY_POD of its processes to it. No pod may have this name."""
+    after: Duration = "1s"
+    """How long the active instance must be silent on an output that is a topic, or no instance active, before the mux
+    forwards this one. Must be longer than the longest gap between outputs without a failure. Set it longer than a recovery by a
+    standby of an Executing pool, so that this instance drives only if the cluster cannot be reached."""
+
+
+class Mux(Model):
+    """Settings of the mux. Only for kind Mux."""
+
+    on_board: OnBoard | None = None
+    """The instance that drives the robot while the link to the cluster is down. Absent: then nobody does. See docs/mux.md."""
+
+
+@with_rules(
+    (
+        "!has(self.mux) || self.kind == 'Mux'",
+        "mux is allowed only if kind is Mux",
+        ".mux",
+    ),
+)
 class Gate(Model):
     """The gate, which decides which instance can reach the robot."""
 
@@ -202,11 +231,18 @@ class Gate(Model):
     """Reflex: if the active instance falls silent, a standby of an Executing pool takes over before the monitor acts. With
     kind NetworkPolicy, the gate is also open for that standby, and by DDS exclusive ownership the robot's own DataReaders
     switch to it. With kind Mux, the mux switches. Absent: only the monitor switches. See docs/reflex.md."""
+    mux: Mux | None = None
+    """Settings of the mux. Only for kind Mux."""
 
     @property
     def is_at_robot(self) -> bool:
         """Whether a process beside the robot forwards the outputs, so that the network need not keep instances away."""
         return self.kind == "Mux"
+
+    @property
+    def on_board(self) -> OnBoard | None:
+        """The instance at the robot; None if there is none."""
+        return self.mux.on_board if self.mux is not None else None
 
     @property
     def readers_choose(self) -> bool:

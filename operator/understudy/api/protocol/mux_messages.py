@@ -9,6 +9,7 @@ is as fresh as the order whose ``nonce`` it repeats: a monitor uses a new one in
 
 from __future__ import annotations
 
+import hashlib
 import hmac
 import json
 import math
@@ -39,13 +40,66 @@ class Token:
 
 
 @dataclass(frozen=True)
+class SafeCommand:
+    """A message that the mux sends to the robot while nobody controls it."""
+
+    topic: str
+    message: Mapping[str, Any]
+    """Its fields, as in the policy."""
+    every: float
+    """Seconds between two messages."""
+
+
+@dataclass(frozen=True)
+class OnBoard:
+    """An instance at the robot, which needs no network to the cluster: the last choice of all."""
+
+    name: str
+    silences: Mapping[str, float]
+    """As in a standing order. Nobody in control counts as silent since then."""
+
+
+@dataclass(frozen=True)
 class StandingOrder:
-    """Who is forwarded next, and after which silence, without another order."""
+    """What the mux does without another order: who is forwarded next, after which silence, and what the robot receives from nobody."""
 
     successors: tuple[str, ...] = ()
     """The names of instances, the first choice first."""
     silences: Mapping[str, float] = field(default_factory=dict)
     """Seconds of silence by output. An instance that is silent on one of these outputs for so long is replaced."""
+    on_board: OnBoard | None = None
+    safe: tuple[SafeCommand, ...] = ()
+    """The safe commands of the policy (spec.safety)."""
+    safe_after: float = 0.0
+    """Seconds for which nobody has controlled the robot before they are sent."""
+
+    @property
+    def digest(self) -> str:
+        """Identifies the content."""
+        return hashlib.sha256(_compact(standing_message(self)).encode()).hexdigest()[:16]
+
+
+def standing_message(standing: StandingOrder) -> dict[str, Any]:
+    """Return a standing order as the content of a text or of a file."""
+    found: dict[str, Any] = {"successors": list(standing.successors), "silences": dict(standing.silences)}
+    if (on_board := standing.on_board) is not None:
+        found["onBoard"] = {"name": on_board.name, "silences": dict(on_board.silences)}
+    if standing.safe:
+        found["safeAfter"] = standing.safe_after
+        found["safe"] = [{"topic": one.topic, "message": one.message, "every": one.every} for one in standing.safe]
+    return found
+
+
+def read_standing(message: Mapping[str, Any]) -> StandingOrder:
+    """Return the standing order of such a content. Raises KeyError, TypeError and ValueError for one of another version."""
+    on_board = message.get("onBoard")
+    return StandingOrder(
+        tuple(message["successors"]),
+        message["silences"],
+        OnBoard(on_board["name"], on_board["silences"]) if on_board else None,
+        tuple(SafeCommand(one["topic"], one["message"], one["every"]) for one in message.get("safe", ())),
+        message.get("safeAfter", 0.0),
+    )
 
 
 @dataclass(frozen=True)
@@ -57,7 +111,8 @@ class Order:
     source: str
     """The name of the instance to forward; empty for nobody."""
     knows: Token = Token()
-    """The newest token that the monitor had seen in the mux's reports when it decided this."""
+    """The newest token that the monitor had seen in the mux's reports when it decided this. If the mux forwards the instance on board by
+    that token, and this order is of the same epoch, control returns to the source."""
     standing: StandingOrder = StandingOrder()
     revision: int = 0
     """Grows with each standing order of one epoch."""
@@ -106,16 +161,24 @@ class Report:
     """Seconds since the last sample, by instance and output."""
     strangers: tuple[str, ...] = ()
     """Writers of outputs that reach the robot beside the mux, or that belong to no instance, each with its output."""
-    standing: StandingOrder = field(default_factory=StandingOrder)
-    """The standing order that it follows."""
+    standing: str = ""
+    """The digest of the standing order that it follows."""
     revision: int = 0
     """Of the standing order."""
+    on_board: bool = False
+    """Whether it forwards the instance on board."""
+    safe_sent: int = 0
+    """Number of safe commands that it has sent since it began."""
 
 
 def sealed(message: Mapping[str, Any], key: bytes) -> str:
     """Return a message as a text with its MAC."""
-    body = json.dumps(message, separators=(",", ":"), sort_keys=True)
+    body = _compact(message)
     return f"{hmac.digest(key, body.encode(), 'sha256').hex()} {body}"
+
+
+def _compact(message: Mapping[str, Any]) -> str:
+    return json.dumps(message, separators=(",", ":"), sort_keys=True)
 
 
 def opened(text: str, key: bytes) -> dict[str, Any]:
@@ -133,8 +196,7 @@ def order_text(order: Order, nonce: str, keys: MuxKeys) -> str:
         "token": _token(order.token),
         "source": order.source,
         "knows": _token(order.knows),
-        "successors": list(order.standing.successors),
-        "silences": dict(order.standing.silences),
+        "standing": standing_message(order.standing),
         "revision": order.revision,
         "nonce": nonce,
     }
@@ -151,7 +213,7 @@ def read_order(text: str, keys: MuxKeys) -> tuple[Order, str]:
             token.epoch,
             message["source"],
             Token(*message["knows"]),
-            StandingOrder(tuple(message["successors"]), message["silences"]),
+            read_standing(message["standing"]),
             message["revision"],
         )
         return order, message["nonce"]
@@ -170,9 +232,10 @@ def report_text(report: Report, keys: MuxKeys) -> str:
         "since": report.since if math.isfinite(report.since) else None,
         "heard": {name: dict(outputs) for name, outputs in report.heard.items()},
         "strangers": list(report.strangers),
-        "successors": list(report.standing.successors),
-        "silences": dict(report.standing.silences),
+        "standing": report.standing,
         "revision": report.revision,
+        "onBoard": report.on_board,
+        "safeSent": report.safe_sent,
     }
     return sealed(message, keys.reports)
 
@@ -190,8 +253,10 @@ def read_report(text: str, keys: MuxKeys) -> Report:
             math.inf if message["since"] is None else message["since"],
             message["heard"],
             tuple(message["strangers"]),
-            StandingOrder(tuple(message["successors"]), message["silences"]),
+            message["standing"],
             message["revision"],
+            message["onBoard"],
+            message["safeSent"],
         )
     except (KeyError, TypeError, ValueError) as error:
         raise ProtocolError(f"the report is of another version: {error!r}") from error

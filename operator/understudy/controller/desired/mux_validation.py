@@ -14,6 +14,11 @@ def problem(spec: RobotWorkloadSpec, template: Mapping[str, Any]) -> str | None:
     """Return why a mux cannot forward the outputs of a workload, and how to correct it; None if it can, or if there is none."""
     if not spec.gate.is_at_robot:
         return None
+    if spec.gate.on_board is not None and not any(output.topic for output in spec.outputs):
+        return (
+            "spec.gate.mux.onBoard: the mux notices by the silence on a topic that an instance does not reach it, and spec.outputs has no "
+            "topic. Add one, or remove spec.gate.mux.onBoard"
+        )
     if spec.workload_ref is not None:
         return (
             f"spec.gate.kind: Understudy does not change the pods of {spec.workload_ref.kind} {spec.workload_ref.name}, so their writers "

@@ -23,7 +23,8 @@ MONITOR_KEY = "monitor.xml"
 def config_maps(
     workload: str, environment: Mapping[str, str], outputs: Sequence[Output], gate: Gate, namespace: str = ""
 ) -> list[Object]:
-    """Return the ConfigMaps with the environment (``envFrom``) and the profiles (mounted at PROFILES_DIR), and with what a mux needs.
+    """Return the ConfigMaps with the environment (``envFrom``) and the profiles (mounted at PROFILES_DIR), and with what a mux and an
+    instance on board need besides.
 
     Raises ValueError if there are not enough gated ports for the outputs.
     """
@@ -44,4 +45,10 @@ def config_maps(
             names.OUTPUTS_VARIABLE: json.dumps(listed),
         }
         found.append(config_map(names.mux(workload), settings))
+    if gate.on_board is not None:
+        variables = {
+            names.POD_VARIABLE: gate.on_board.name,
+            MIDDLEWARE.settings_variable: PROFILES_FILE,
+        }
+        found.append(config_map(names.on_board(workload), variables))
     return found

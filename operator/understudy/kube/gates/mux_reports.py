@@ -149,6 +149,13 @@ class MuxReports:
         """Return the newest token that was known when the commit of an epoch was decided: none if another monitor made it."""
         return self._known[1] if self._known[0] == epoch else Token()
 
+    def driven_on_board(self, epoch: int) -> Report | None:
+        """Return the latest report if the mux forwards the instance on board by it, in this epoch of the gate; None if it does not."""
+        if self.latest is None or self.is_silent:
+            return None
+        report = self.latest.report
+        return report if report.on_board and report.token.epoch == epoch else None
+
     def switched(self, active: str) -> tuple[str, float, float] | None:
         """Return whom the mux forwards by its standing order, when it last heard the active instance, and when it first forwarded the
         other one."""
@@ -175,6 +182,13 @@ class MuxReports:
                 "(docs/mux.md), and check whether its pod and this monitor are in the same ROS domain.",
             )
         report = self.latest.report
+        if report.on_board:
+            return (
+                "False",
+                "OnBoard",
+                f"{report.source} at the robot drives it, because the mux heard {active or 'nobody'} no more. Control returns when the mux "
+                "hears the active instance again, or when another one takes over.",
+            )
         if report.refused:
             return "False", "OrderRefused", f"The mux at the robot refuses the order of this monitor: {report.refused}."
         if report.source != active:

@@ -1,8 +1,9 @@
 """Sends the policy's safe commands to the robot while no instance is verified to be in control (docs/safety.md).
 
-The monitor is not an instance, so the gate lets it through. Its commands begin after the failed instance was fenced, or the gate was
-closed for a leak, and end with the first output of the next one. After the gate opens for an instance, the commands wait for
-``safety.after`` again, so that the monitor and the instance do not command the robot at the same time.
+With a mux, they are in its standing order, and it sends them. Otherwise the monitor does: it is not an instance, so the gate lets it
+through. Its commands begin after the failed instance was fenced, or the gate was closed for a leak, and end with the first output of the
+next one. After the gate opens for an instance, the commands wait for ``safety.after`` again, so that the monitor and the instance do not
+command the robot at the same time.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Protocol
 from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import Safety
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+from understudy.api.protocol.mux_messages import SafeCommand
 from understudy.clock import CLOCK
 from understudy.failover import pinned
 from understudy.failover.progress import Progress, beside
@@ -25,8 +27,8 @@ from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.outcome import Outcome
 from understudy.ros.actions.repeated_publisher import Commander
 from understudy.ros.runtime.graph_node import Graph
-from understudy.ros.runtime.interface_types import TypeNotInstalled
-from understudy.ros.runtime.message_values import MessageError
+from understudy.ros.runtime.interface_types import TypeNotInstalled, message_class
+from understudy.ros.runtime.message_values import MessageError, to_message
 
 _logger = logging.getLogger(__name__)
 
@@ -128,27 +130,35 @@ class SafeCommands:
         self._followed: tuple[Safety | None, list[tuple[str, str]], bool] = (None, [], False)
         self._commanders: list[Commander] = []
         self._tasks: list[asyncio.Task[None]] = []
-        self._after = 0.0
+        self.after = 0.0
+        """Seconds for which nobody has controlled the robot before commands are sent."""
+        self.of_mux: tuple[SafeCommand, ...] = ()
+        """Those that the mux at the robot sends. With a mux, this process sends none."""
         self.problems: list[str] = []
         """Why commands cannot be sent, and how to correct that: one text per command."""
         self.sent = 0
         """Number of messages published."""
 
     def follow(self, safety: Safety | None, spec: RobotWorkloadSpec) -> None:
-        """Prepare to publish the safe commands of this policy. Without ``safety``, nothing is published."""
+        """Prepare to publish the safe commands of this policy, or to have the mux do so. Without ``safety``, nothing is published."""
         outputs = [(output.topic, output.type) for output in spec.outputs if output.topic]
         wanted = (safety, outputs, spec.gate.readers_choose)
         if wanted == self._followed:
             return
         self._followed = wanted
         self.close()
-        self.problems = []
+        self.problems, self.of_mux = [], ()
         if safety is None:
             return
-        self._after = seconds(safety.after)
+        self.after = seconds(safety.after)
         for index, command in enumerate(safety.commands):
             try:
                 type_name = _type(command.topic, outputs, reflex=spec.gate.readers_choose)
+                if spec.gate.is_at_robot:
+                    to_message(message_class(type_name), command.message)
+                    sent = SafeCommand(command.topic, command.message, seconds(command.every))
+                    self.of_mux = (*self.of_mux, sent)
+                    continue
                 commander = Commander(self._graph, command.topic, type_name, command.message)
             # rclpy raises RuntimeError if this process already uses the topic with another type, such as in the tree.
             except (TypeNotInstalled, MessageError, _Unusable, RuntimeError) as error:
@@ -167,7 +177,7 @@ class SafeCommands:
             since = self._unattended.since
             if since is not None and since != known:
                 # ``since`` can lie in the future if it comes from another node's clock.
-                begins = loop.time() + min(since + self._after - CLOCK.now(), self._after)
+                begins = loop.time() + min(since + self.after - CLOCK.now(), self.after)
             known, wait = since, period
             if since is not None:
                 started_at = loop.time()

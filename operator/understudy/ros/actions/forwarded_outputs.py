@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
-from typing import Protocol
+from collections.abc import Callable, Collection, Iterable, Mapping
+from typing import Any, Protocol
 
 from action_msgs.srv import CancelGoal
 
@@ -43,6 +43,9 @@ class Route(Protocol):
     def forget(self) -> None:
         """Drop what is held: another instance is in control from now on."""
 
+    def command(self, values: Mapping[str, Any]) -> None:
+        """Send a safe command, given by the values of its fields: to a topic only. Raises MessageError."""
+
 
 class ReturnedTopic:
     """A topic that the robot publishes to all instances, such as the feedback of an action."""
@@ -73,6 +76,9 @@ class ReturnedTopic:
 
     def forget(self) -> None:
         """Nothing is held."""
+
+    def command(self, values: Mapping[str, Any]) -> None:
+        """Nothing: this is no output."""
 
 
 def routes(outputs: Iterable[Output], graph: Graph, wakeups: ArrivalWakeups) -> list[Route]:

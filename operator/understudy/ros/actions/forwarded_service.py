@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 from rclpy.qos import qos_profile_services_default
@@ -94,6 +94,9 @@ class ForwardedService:
     def forget(self) -> None:
         """Drop what is held: another instance is in control from now on."""
         self._held.clear()
+
+    def command(self, values: Mapping[str, Any]) -> None:
+        """Nothing: a safe command is a message."""
 
     def _writer(self, identity: RequestId) -> bytes | None:
         if identity.client not in self._senders:

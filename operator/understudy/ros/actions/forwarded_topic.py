@@ -8,7 +8,7 @@ first of a later one.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 from rclpy.event_handler import PublisherEventCallbacks
@@ -17,6 +17,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from understudy.ros.runtime.arrival_wakeups import ArrivalWakeups
 from understudy.ros.runtime.graph_node import Endpoint, Graph
 from understudy.ros.runtime.interface_types import message_class
+from understudy.ros.runtime.message_values import to_message
 from understudy.ros.runtime.sample_taking import SampleTaker
 
 DEPTH = 100
@@ -86,6 +87,10 @@ class ForwardedTopic:
                     self._taker.publish(target)
                     forwarded += 1
         return forwarded
+
+    def command(self, values: Mapping[str, Any]) -> None:
+        """Send a message of this process, given by the values of its fields, from the same writer. Raises MessageError."""
+        self._publisher.publish(to_message(self._class, values))
 
     def forget(self) -> None:
         """Nothing is held: the next message comes soon."""

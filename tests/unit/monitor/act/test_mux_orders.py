@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import base64
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -15,8 +18,8 @@ pytest.importorskip("rclpy")
 from tests.unit.dds import isolate_discovery
 from tests.unit.kube.memory import MemoryClient
 from tests.unit.monitor.cluster_objects import workload_spec
-from understudy.api import names
-from understudy.api.protocol.mux_messages import StandingOrder, derive, topics
+from understudy.api import moments, names
+from understudy.api.protocol.mux_messages import OnBoard, SafeCommand, StandingOrder, Token, derive, topics
 from understudy.clock import CLOCK
 from understudy.kube.client import LEASES, SECRETS, WORKLOADS, Object
 from understudy.kube.gates.base import GateRecord, Reach
@@ -35,6 +38,23 @@ pytestmark = pytest.mark.ros
 
 TOKEN = b"token"
 KIND = KINDS["Mux"]
+CREATED = moments.unix("2026-11-28T05:00:00Z") or 0.0
+
+
+class HeardTopic:
+    """A topic on which one instance sends."""
+
+    output = "/cmd_vel"
+    heard = ""
+
+    def drain(self, forwards: Callable[[bytes], bool | None]) -> int:
+        return int(bool(forwards(self.heard.encode()))) if self.heard else 0
+
+    def forget(self) -> None:
+        """Nothing is held."""
+
+    def command(self, values: Mapping[str, Any]) -> None:
+        """Nothing is sent."""
 
 
 class Stand:
@@ -43,13 +63,15 @@ class Stand:
     def __init__(self, folder: Path, *, token: bytes = TOKEN, **gate: object) -> None:
         self._gate = {"kind": "Mux", **gate}
         self.ready: list[str] = []
+        self.safety: Any = SimpleNamespace(of_mux=(), after=0.0)
         self.client, self.reports = MemoryClient(), MuxReports()
         self.view = ClusterView(self.client, "fleet", "w", Wakeups(), KIND)
         self._monitor, self._robot = Graph("understudy_monitor"), Graph("understudy_mux_w")
         orders, reports = topics("fleet", "w")
         self._wakeups = ArrivalWakeups()
         self._exchange = TextExchange(self._robot, self._wakeups, reads=orders, writes=reports)
-        self.mux = Forwarder([], derive(token, "fleet", "w"), ControlJournal(folder / "control.json"))
+        self.route = HeardTopic()
+        self.mux = Forwarder([self.route], derive(token, "fleet", "w"), ControlJournal(folder / "control.json"))
 
     async def begin(self) -> None:
         created = {"name": "w", "namespace": "fleet", "creationTimestamp": "2026-11-28T05:00:00Z"}
@@ -73,6 +95,7 @@ class Stand:
         while True:
             for text in self._exchange.received():
                 self.mux.order(text)
+            self.mux.drain()
             if self.mux.changed:
                 self._exchange.publish(self.mux.report())
             await asyncio.sleep(0.01)
@@ -82,12 +105,17 @@ class Stand:
             while self.reports.latest is None or self.reports.latest.report.source != source:
                 await asyncio.sleep(0.01)
 
+    def hear(self, source: str) -> None:
+        """Let samples of an instance arrive at the mux from now on."""
+        self.route.heard = source
+        self.mux.instances = {source.encode(): source}
+
     def close(self) -> None:
         self._monitor.close()
         self._robot.close()
 
     async def monitor(self) -> None:
-        await MuxOrders(self.client, self.view, self._monitor, self.reports, lambda: self.ready).run()
+        await MuxOrders(self.client, self.view, self._monitor, self.reports, lambda: self.ready, self.safety).run()
 
 
 @asynccontextmanager
@@ -144,6 +172,46 @@ async def test_the_admitted_standby_is_the_standing_order(tmp_path: Path) -> Non
         await stand.commit("w-2")
         await stand.until("w-2")
         assert stand.mux.control.standing == StandingOrder(), "nobody is admitted any more"
+
+
+async def test_the_standing_order_ends_with_the_instance_on_board_and_safe_commands_but_not_during_a_fence(
+    tmp_path: Path,
+) -> None:
+    stand = Stand(tmp_path, mux={"onBoard": {"name": "home", "after": "2s"}})
+    stand.safety = SimpleNamespace(of_mux=(SafeCommand("/cmd_vel", {}, 0.1),), after=0.2)
+    async with running(stand):
+        await stand.commit("w-1")
+        await stand.until("w-1")
+        expected = StandingOrder(
+            on_board=OnBoard("home", {"/cmd_vel": 2.0}), safe=stand.safety.of_mux, safe_after=stand.safety.after
+        )
+        assert stand.mux.control.standing == expected
+        record = stand.view.gate_record
+        assert record is not None
+        patch = KIND.commitment("w", over=record, fenced=3)
+        stand.view.gates.put(await KIND.write(stand.client, "fleet", "w", patch))
+        await stand.until("")
+        assert stand.mux.control.standing == StandingOrder()
+
+
+async def test_control_returns_from_on_board_when_the_mux_hears_the_active_instance_and_it_is_ready(
+    tmp_path: Path,
+) -> None:
+    stand = Stand(tmp_path, mux={"onBoard": {"name": "home", "after": "2s"}})
+    async with running(stand):
+        await stand.commit("w-1")
+        await stand.until("w-1")
+        cut_off = replace(stand.mux.control, source="home", on_board=True, token=Token(CREATED, 5, 1))
+        stand.mux.control, stand.mux.changed = cut_off, True
+        await stand.until("home")
+        assert stand.reports.reported("w-1")[:2] == ("False", "OnBoard")
+        stand.hear("w-1")
+        await asyncio.sleep(1.5)
+        assert stand.mux.control.source == "home", "its agent has not reported that it is ready"
+        stand.ready = ["w-1"]
+        await stand.until("w-1")
+        assert stand.mux.control.token == Token(CREATED, 5, 2)
+        assert stand.reports.reported("w-1")[:2] == ("True", "ReportedByMux")
 
 
 async def test_a_mux_with_another_token_is_not_heard_and_carries_nothing_out(tmp_path: Path) -> None:

@@ -10,25 +10,31 @@ import asyncio
 import base64
 import contextlib
 import logging
+import math
 import secrets
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from understudy.api import moments, names
 from understudy.api.base import seconds
 from understudy.api.protocol.agent_messages import ProtocolError
 from understudy.api.protocol.mux_messages import (
     MuxKeys,
+    OnBoard,
     Order,
     StandingOrder,
+    Token,
     derive,
     order_text,
     read_report,
     topics,
 )
+from understudy.failover import pinned
 from understudy.failover.interfaces import Agents, Instances
 from understudy.kube.client import FAILURES, SECRETS, Client
 from understudy.kube.gates.base import GateRecord
 from understudy.kube.gates.mux_reports import MuxReports
+from understudy.monitor.act.safe_commands import SafeCommands
 from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.ros.actions.text_exchange import TextExchange
 from understudy.ros.runtime.arrival_wakeups import ArrivalWakeups
@@ -50,14 +56,21 @@ class MuxOrders:
     """The orders to the mux of one workload."""
 
     def __init__(
-        self, client: Client, view: ClusterView, graph: Graph, reports: MuxReports, ready: Callable[[], Sequence[str]]
+        self,
+        client: Client,
+        view: ClusterView,
+        graph: Graph,
+        reports: MuxReports,
+        ready: Callable[[], Sequence[str]],
+        safety: SafeCommands,
     ) -> None:
-        """``ready`` returns the names of the instances that could take over now, the best one first."""
+        """``ready`` returns the names of the instances that could drive now, the best one first."""
         self._client, self._view, self._graph, self._reports, self._ready = client, view, graph, reports, ready
+        self._safety = safety
         self._answered = ""
         """The nonce of the last order that the mux has answered."""
-        self._sent: tuple[int, str, float] = (-1, "", 0.0)
-        """The revision of the gate object, the nonce and the time of the last order."""
+        self._sent: tuple[int, str, float, Token] = (-1, "", 0.0, Token())
+        """The revision of the gate object, the nonce and the time of the last order, and what it took into account."""
 
     async def run(self) -> None:
         """Send orders and receive reports until cancelled."""
@@ -102,21 +115,48 @@ class MuxOrders:
         self._reports.add(report)
 
     def _standing(self, record: GateRecord) -> StandingOrder:
-        """Return to whom the mux switches by itself, once a topic of the active instance was silent for the deadline of the reflex: to the
-        admitted standby first. If there is one, other ready standbys follow, since the API server may be away for longer."""
+        """Return what the mux does without another order.
+
+        Once a topic of the active instance was silent for the deadline of the reflex, it switches to the admitted standby. If there is one,
+        other ready standbys follow, since the API server may be away for longer. The instance on board and safe commands come last, and
+        neither while a user has fenced the robot or paused the workload, or before an instance has driven.
+        """
         spec = self._view.spec
-        if spec is None or spec.gate.reflex is None or not record.admitted:
+        if spec is None:
             return StandingOrder()
-        deadline = seconds(spec.gate.reflex.deadline)
-        others = (name for name in self._ready() if name not in (record.active, record.admitted))
-        return StandingOrder((record.admitted, *others), {o.topic: deadline for o in spec.outputs if o.topic})
+        topics = [output.topic for output in spec.outputs if output.topic]
+        found = StandingOrder()
+        if spec.gate.reflex is not None and record.admitted:
+            others = (name for name in self._ready() if name not in (record.active, record.admitted))
+            silences = dict.fromkeys(topics, seconds(spec.gate.reflex.deadline))
+            found = StandingOrder((record.admitted, *others), silences)
+        is_driven = bool(record.active or pinned.read(record.let_through))
+        if not is_driven or record.fenced or spec.pause is not None or self._view.retired:
+            return found
+        if (on_board := spec.gate.on_board) is not None:
+            found = replace(found, on_board=OnBoard(on_board.name, dict.fromkeys(topics, seconds(on_board.after))))
+        return replace(found, safe=self._safety.of_mux, safe_after=self._safety.after)
+
+    def _knows(self, record: GateRecord) -> Token:
+        """Return the newest switch of the mux's own that the order takes into account.
+
+        The one to the instance on board is, as soon as the mux hears the active instance again and its agent reports it as ready.
+        """
+        report, spec = self._reports.driven_on_board(record.epoch), self._view.spec
+        if report is not None and spec is not None and spec.gate.on_board is not None:
+            ages, most = report.heard.get(record.active, {}), seconds(spec.gate.on_board.after)
+            if record.active in self._ready() and all(
+                ages.get(output.topic, math.inf) < most for output in spec.outputs if output.topic
+            ):
+                return report.token
+        return self._reports.known(record.epoch)
 
     def _follows(self, order: Order) -> bool:
         """Whether the mux follows the standing order of an order, as far as it has reported that."""
         latest = self._reports.latest
         if latest is None or latest.report.token.epoch != order.epoch:
             return True  # it takes the one of the first order of an epoch, whatever its revision
-        return latest.report.standing == order.standing
+        return latest.report.standing == order.standing.digest
 
     def _send(self, exchange: TextExchange, keys: MuxKeys, now: float) -> None:
         """Send an order if the gate object has changed, if the last one was not answered, or if it was a while ago."""
@@ -124,21 +164,24 @@ class MuxOrders:
         created = moments.unix(((self._view.object or {}).get("metadata") or {}).get("creationTimestamp"))
         if record is None or created is None:
             return
-        of, nonce, at = self._sent
-        knows, latest = self._reports.known(record.epoch), self._reports.latest
+        of, nonce, at, knew = self._sent
+        knows, latest = self._knows(record), self._reports.latest
         revision = latest.report.revision + 1 if latest is not None else 0
         order = Order(created, record.epoch, record.active, knows, self._standing(record), revision)
         is_done = nonce == self._answered and self._follows(order)
-        if of == changes and now - at < (PERIOD if is_done else AGAIN):
+        if of == changes and knows == knew and now - at < (PERIOD if is_done else AGAIN):
             return
         nonce = secrets.token_hex(8)
         self._reports.ordered(record.active_uid, order, nonce)
         exchange.publish(order_text(order, nonce, keys))
-        self._sent = (changes, nonce, now)
+        self._sent = (changes, nonce, now, knows)
 
 
-def ready_names(pods: Instances, agents: Agents) -> list[str]:
-    """Return the names of the instances that could take over now. Those that are ready by Kubernetes come first, then the oldest."""
-    others = [one for one in pods.of_workload() if one.usable and one.has_agent and not one.held and not one.claim]
-    ready = [one for one in others if agents.is_ready(one)[0]]
+def ready_names(pods: Instances, agents: Agents, active_uid: str) -> list[str]:
+    """Return the names of the instances that could drive now. Those that are ready by Kubernetes come first, then the oldest.
+
+    A claimed one that is not active was left behind by a recovery, or another monitor prepares it.
+    """
+    running = [one for one in pods.of_workload() if one.usable and one.has_agent and not one.held]
+    ready = [one for one in running if (not one.claim or one.uid == active_uid) and agents.is_ready(one)[0]]
     return [one.name for one in sorted(ready, key=lambda one: (not one.ready, one.created, one.name))]
