@@ -165,7 +165,7 @@ class Witness:
 
     def unled(self) -> list[tuple[float, float]]:
         """Return from when to when no operator led."""
-        return [(a, b) for a, b in pairwise(sorted(self._renewals)) if b - a > RENEWED_WITHIN]
+        return unled(self._renewals)
 
     def unstarted(self, robot: str) -> list[tuple[float, float]]:
         """Return from when to when a pod of a robot or of its pool existed that no kubelet had begun to start, if that was long."""
@@ -388,6 +388,17 @@ def _pod(item: Object) -> PodSeen:
         ),
         unix(metadata["deletionTimestamp"]) if metadata.get("deletionTimestamp") else 0.0,
     )
+
+
+def unled(renewals: Iterable[float]) -> list[tuple[float, float]]:
+    """Return from when to when no operator led, from the times at which the Lease was renewed. One that renewed it once did not lead."""
+    found: list[tuple[float, float]] = []
+    for a, b in pairwise(sorted(renewals)):
+        if b - a <= RENEWED_WITHIN:
+            continue
+        begin = found.pop()[0] if found and found[-1][1] == a else a
+        found.append((begin, b))
+    return found
 
 
 def commit_of(item: Object, seen: float, lost: float) -> Commit:

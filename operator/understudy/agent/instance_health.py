@@ -23,6 +23,7 @@ from understudy.agent.output_topics import Output
 from understudy.api import names
 from understudy.api.protocol.agent_messages import OutputCount
 from understudy.clock import CLOCK
+from understudy.ros.runtime.lean_imports import import_in_turn, import_rclpy
 
 if TYPE_CHECKING:
     from understudy.ros.actions.calling_node import GraphLocation
@@ -71,6 +72,7 @@ class HealthPlan:
     @classmethod
     def of(cls, body: Mapping[str, Any]) -> HealthPlan:
         """Read a ``configure`` request. Raises ValueError with everything that is wrong with it."""
+        import_in_turn("understudy.trees.languages.notations")
         from understudy.trees.languages.notations import load_health
         from understudy.trees.source.problems import TreeError
 
@@ -347,8 +349,6 @@ def _join(node_name: str) -> tuple[Graph, TopicWatch, bytes]:
     That part is read from the node's own publisher, so it is right for any addresses of the pod. Blocks for about a
     second.
     """
-    from understudy.ros.runtime.lean_imports import import_rclpy
-
     import_rclpy()
     from understudy.ros.observe.topic_watch import TopicWatch
     from understudy.ros.rmw import MIDDLEWARE

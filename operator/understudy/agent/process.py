@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import importlib
 import logging
 import os
 import signal
@@ -18,7 +17,7 @@ from understudy.api import names
 from understudy.kube.gates.probes import ProbeSender
 from understudy.process import cpu_scheduling, json_logs
 from understudy.process.http_pages import serve
-from understudy.ros.runtime.lean_imports import rclpy_imported
+from understudy.ros.runtime.lean_imports import import_in_turn, rclpy_imported
 
 _logger = logging.getLogger(__name__)
 
@@ -126,4 +125,4 @@ async def _warm() -> None:
 
 async def _imported(*modules: str) -> None:
     for module in modules:
-        await asyncio.to_thread(importlib.import_module, module)
+        await asyncio.to_thread(import_in_turn, module)

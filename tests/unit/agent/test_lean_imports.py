@@ -92,3 +92,38 @@ def test_an_output_that_the_model_refuses_is_refused(data: object) -> None:
         robot_workload.Output.model_validate(data)
     with pytest.raises(ValueError, match="output"):
         HealthPlan.of({"tree": {"topic": {"name": "/x", "gap": "1s"}}, "outputs": [data]})
+
+
+AT_ONCE = """
+import asyncio, sys, threading, time
+from understudy.agent import process
+from understudy.agent.instance_health import HealthPlan
+
+finding, near = set(), threading.Event()
+
+class Slow:
+    def find_spec(self, name, path=None, target=None):
+        if name == "understudy.trees.core.health_tree":
+            near.set()
+        if name == "py_trees.behaviour":
+            near.wait(2)
+        if name.startswith("py_trees"):
+            finding.add(threading.current_thread())
+            time.sleep(0.05)
+
+sys.meta_path.insert(0, Slow())
+
+async def main():
+    warming = asyncio.create_task(process._imported("py_trees"))
+    await asyncio.sleep(0.02)
+    body = {"tree": {"topic": {"name": "/x", "gap": "1s"}}, "outputs": [{"topic": "/x", "type": "std_msgs/msg/Empty"}], "grace": 1}
+    await asyncio.gather(warming, asyncio.to_thread(HealthPlan.of, body))
+
+asyncio.run(main())
+assert len(finding) == 1, finding
+"""
+
+
+def test_a_health_tree_is_read_after_another_thread_has_imported_what_it_needs() -> None:
+    """At the end of an import, a package is not in sys.modules for a moment: another thread that imports a part of it fails."""
+    assert "py_trees.decorators" in _modules(AT_ONCE)

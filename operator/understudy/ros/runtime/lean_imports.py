@@ -57,6 +57,15 @@ def import_rclpy() -> None:
     _imported.set()
 
 
+def import_in_turn(module: str) -> None:
+    """Import a module in a thread while others import too, of packages whose modules import each other in a circle.
+
+    py_trees is one, as rclpy: if two threads import such a package at the same time, Python ends a deadlock between them by an error in one.
+    """
+    with _IMPORTING:
+        importlib.import_module(module)
+
+
 async def rclpy_imported() -> None:
     """Import rclpy in a thread, since it takes a second, or wait for another thread that is importing it."""
     if not _imported.is_set():

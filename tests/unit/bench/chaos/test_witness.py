@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 import pytest
 
 from bench.chaos.judge import LAG
-from bench.chaos.witness import commit_of
+from bench.chaos.witness import commit_of, unled
 from understudy.api import names
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import Object
@@ -46,3 +46,10 @@ def test_a_record_that_cannot_be_read_dates_nothing(text: str) -> None:
     item = gate("b", SECOND)
     item["metadata"]["annotations"][names.RECOVERY] = text
     assert math.isnan(commit_of(item, SECOND + 1.3, 0.0).since)
+
+
+def test_an_operator_that_renewed_its_lease_once_did_not_lead() -> None:
+    led = [float(second) for second in range(0, 20, 2)]
+    again = [70.0 + second for second in range(0, 20, 2)]
+    assert unled([*led, 60.0, *again]) == [(18.0, 70.0)]
+    assert unled([*led, 40.0, 42.0, *again]) == [(18.0, 40.0), (42.0, 70.0)]
