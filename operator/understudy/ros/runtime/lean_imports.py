@@ -60,7 +60,8 @@ def import_rclpy() -> None:
 def import_in_turn(module: str) -> None:
     """Import a module in a thread while others import too, of packages whose modules import each other in a circle.
 
-    py_trees is one, as rclpy: if two threads import such a package at the same time, Python ends a deadlock between them by an error in one.
+    py_trees is one, as rclpy. At the end of its import a package is not in ``sys.modules`` for a moment, so another thread that imports a
+    part of it fails with a KeyError.
     """
     with _IMPORTING:
         importlib.import_module(module)
