@@ -155,12 +155,14 @@ class SlowInstance:
         self._listening: asyncio.Task[None] | None = None
 
     def listen(self, index: int) -> None:
-        """Listen to the target of the strategy of this index, if the gate admits it."""
-        self.forget()
+        """Listen to the target of the strategy of this index, if the gate admits it. Otherwise listen to the one before, as it may be."""
         target = self._progress.target
         instance = self._context.instances.find(target.uid) if target is not None else None
         is_admitted = instance is not None and self._context.gate.state.active_uid == instance.uid
-        if instance is not None and is_admitted and index not in self._resumed:
+        if instance is not None and is_admitted:
+            self.forget()
+            if index in self._resumed:
+                return
             self.attempt = _SlowAttempt(index, instance, self._progress.model_copy(deep=True))
             self._listening = asyncio.create_task(self._hear(instance))
 

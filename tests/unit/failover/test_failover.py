@@ -14,10 +14,11 @@ import pytest
 from tests.support.golden import assert_golden
 from tests.unit.failover.recoveries import VERIFY_WITHIN, choices, failure, protected
 from tests.unit.failover.world import PERIOD, Killed, Store, World
+from understudy.failover.availability import Availability
 from understudy.failover.interfaces import GateState, Instance, NoLongerNeeded, Superseded
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.protocol import LOST, recover
-from understudy.failover.strategies.base import Choice
+from understudy.failover.strategies.base import Choice, Strategy, StrategyContext
 from understudy.failover.strategies.executing import ExecutingFallback
 from understudy.failover.strategies.initialized import InitializedFallback
 from understudy.failover.strategies.restart import Restart
@@ -128,7 +129,23 @@ async def test_a_standby_that_is_not_verified_is_deleted_and_the_next_strategy_i
     assert {"w-1", "w-2"} <= set(store.deleted)
 
 
-async def test_an_instance_that_drives_later_than_its_strategy_allows_is_kept_if_it_could_not_be_fenced() -> None:
+class Waiting(Strategy):
+    """Waits for a pod, such as one of a shared pool that the API server does not list."""
+
+    name = "Waiting"
+
+    def availability(self, context: StrategyContext, progress: Progress | None = None) -> Availability:
+        return Availability(True)
+
+    async def prepare(self, progress: Progress, context: StrategyContext, *, within: float) -> Instance:
+        await asyncio.Event().wait()
+        raise AssertionError
+
+
+@pytest.mark.parametrize("between", [[], [Waiting()]], ids=["next", "after one without a pod"])
+async def test_an_instance_that_drives_later_than_its_strategy_allows_is_kept_if_it_could_not_be_fenced(
+    between: list[Strategy],
+) -> None:
     store = protected(pool="hot")
     store.broken.add("w-2")
     world, running = World(store), asyncio.get_running_loop()
@@ -136,9 +153,11 @@ async def test_an_instance_that_drives_later_than_its_strategy_allows_is_kept_if
     running.call_later(0.5 * VERIFY_WITHIN, setattr, store, "away", True)
     running.call_later(4 * VERIFY_WITHIN, store.broken.clear)
     running.call_later(6 * VERIFY_WITHIN, setattr, store, "away", False)
-    done = await recover(failure(world), choices(ExecutingFallback("hot"), Restart()), world.context())
+    strategies = choices(ExecutingFallback("hot"), *between, Restart())
+    done = await recover(failure(world), strategies, world.context())
     assert (done.result, done.strategy, done.to_recovery(1).to_pod) == ("Recovered", "Fallback/Executing", "w-2")
-    assert [(attempt.pod, attempt.result) for attempt in done.attempts] == [("w-2", "NotVerified"), ("w-2", "Verified")]
+    expected = [("w-2", "NotVerified"), *[("", "NotVerified")] * len(between), ("w-2", "Verified")]
+    assert [(attempt.pod, attempt.result) for attempt in done.attempts] == expected
     assert (store.commits, store.deleted) == (["w-2", "w-2"], ["w-1"])
 
 
