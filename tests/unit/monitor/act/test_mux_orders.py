@@ -47,6 +47,7 @@ class Stand:
         self.view = ClusterView(self.client, "fleet", "w", Wakeups(), KIND)
         self._monitor, self._robot = Graph("understudy_monitor"), Graph("understudy_mux_w")
         orders, reports = topics("fleet", "w")
+        self._monitors = TextExchange(self._monitor, ArrivalWakeups(), reads=reports, writes=orders)
         self._wakeups = ArrivalWakeups()
         self._exchange = TextExchange(self._robot, self._wakeups, reads=orders, writes=reports)
         self.mux = Forwarder([], derive(token, "fleet", "w"), ControlJournal(folder / "control.json"))
@@ -87,7 +88,7 @@ class Stand:
         self._robot.close()
 
     async def monitor(self) -> None:
-        await MuxOrders(self.client, self.view, self._monitor, self.reports, lambda: self.ready).run()
+        await MuxOrders(self.client, self.view, self._monitors, self.reports, lambda: self.ready).run()
 
 
 @asynccontextmanager
