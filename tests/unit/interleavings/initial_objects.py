@@ -36,8 +36,9 @@ def create(scene: Scene, server: ApiServer) -> None:
         items.append(world.hot(per_workload=scene.standbys, **more))
     for name in scene.workload_names:
         more = {"workloadRef": {"kind": scene.refers, "name": f"app-{name}"}} if scene.refers else {}
-        if scene.reflex:
-            more["gate"] = {"reflex": {"deadline": scene.reflex}, "robots": [ROBOTS]}
+        gate = {"kind": "Mux"} if scene.muxed else {"robots": [ROBOTS]} if scene.reflex else {}
+        if gate:
+            more["gate"] = gate | ({"reflex": {"deadline": scene.reflex}} if scene.reflex else {})
         if scene.tasks:
             action = {"action": "/carry", "type": "nav2_msgs/action/NavigateToPose"}
             more["tasks"] = [action | {"onFailover": scene.tasks}]
