@@ -65,7 +65,7 @@ class Forwarder:
         self.strangers: tuple[str, ...] = ()
         """As in the reports."""
         self._last: dict[str, dict[str, float]] = defaultdict(dict)
-        self._since = clock()
+        self._since = self._drained = clock()
         self._first = math.nan
         self._forwarded = 0
         self._begun: set[str] = set()
@@ -76,7 +76,7 @@ class Forwarder:
 
     def drain(self) -> None:
         """Take what arrived, and carry out a standing order that is due. Call it when something arrives, and at :attr:`due_at`."""
-        now = self._clock()
+        now = self._drained = self._clock()
         for route in self._routes:
             if forwarded := route.drain(self._judging(route.output, now)):
                 self._forwarded += forwarded
@@ -101,8 +101,9 @@ class Forwarder:
 
     @property
     def due_at(self) -> float:
-        """When :meth:`drain` must be called at the latest."""
-        return due_at(self.control, self._heard)
+        """When :meth:`drain` must be called at the latest. After that time, nobody else sends, and only an arrival can change that."""
+        due = due_at(self.control, self._heard)
+        return due if due > self._drained else math.inf
 
     def order(self, text: str) -> None:
         """Carry out an order, unless it is refused. A text that is no authentic order is ignored."""

@@ -122,6 +122,15 @@ def test_a_silent_instance_is_replaced_without_an_order(stand: Stand) -> None:
     assert stand.topic.forwarded == ["w-1", "w-2"], "the first one does not come back by itself"
 
 
+def test_a_silence_that_nobody_can_end_is_looked_at_once(stand: Stand) -> None:
+    stand.order(ORDER)
+    stand.after(0.1, "w-1")
+    stand.after(0.6)
+    assert stand.mux.due_at == math.inf, "only an arrival can change something, and each is noticed"
+    stand.after(0.2, "w-2")
+    assert stand.report.source == "w-2"
+
+
 def test_a_process_that_stood_still_hears_first_what_arrived_meanwhile(stand: Stand) -> None:
     stand.order(ORDER)
     stand.after(0.1, "w-1", "w-2")
