@@ -79,12 +79,15 @@ class Heard:
     """When the mux began to forward the present instance, or to listen."""
     last: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """Time of the last sample by instance and output."""
+    discovered_by: float = 0.0
+    """Until when the process may not have discovered an instance that sends: one that was never heard is not silent before."""
 
     def silent_at(self, source: str, silences: Mapping[str, float]) -> float:
         """Return when an instance has been silent for too long, if it is not heard again; infinite if no silence counts."""
         last = self.last.get(source, {})
         return min(
-            (max(self.since, last.get(output, 0.0)) + most for output, most in silences.items()), default=math.inf
+            (max(self.since, last.get(output, self.discovered_by)) + most for output, most in silences.items()),
+            default=math.inf,
         )
 
     def drives(self, source: str, silences: Mapping[str, float], now: float) -> bool:
