@@ -152,7 +152,9 @@ def test_an_order_that_cannot_be_kept_fences_and_puts_nobody_in_control(stand: S
     stand.order(ORDER)
     (tmp_path / "control.new").mkdir()
     report = stand.order(replace(ORDER, epoch=6, source="w-2"), "later")
-    assert (report.source, report.nonce) == ("", "later"), "the order fences the first one, and the second one is not kept"
+    assert (report.source, report.nonce) == ("", "later"), (
+        "the order fences the first one, and the second one is not kept"
+    )
     assert "cannot keep it" in report.refused
     stand.after(1.0, "w-1", "w-2")
     assert stand.topic.forwarded == []
