@@ -357,6 +357,7 @@ class MonitorLoop:
         self.report.status_conditions.housekeeping()
         self.decide.limits.spending.report(time.time())
         paused = self.decide.limits.pauses.on is not None
+        self.act.raise_epoch()
         self.act.supervise_standbys(policy, paused=paused)
         others = [i for i in self._pods.of_workload() if i.uid != self.act.switchovers.preparing]
         judged = self.judge.enforcement.judge(others)

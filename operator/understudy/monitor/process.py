@@ -18,6 +18,7 @@ from prometheus_client import REGISTRY, generate_latest
 from understudy import __version__
 from understudy.api import names
 from understudy.api.kinds.robot_workload import MonitorStatus
+from understudy.api.protocol import mux_messages
 from understudy.api.protocol.agent_messages import KEYED_PROTOCOL
 from understudy.failover.journal import Journal
 from understudy.failover.progress import PodIdentity
@@ -57,6 +58,8 @@ from understudy.monitor.report.recording_archive import RecordingArchive
 from understudy.monitor.report.status_writer import StatusWriter
 from understudy.process import cpu_scheduling, json_logs, loop_turns
 from understudy.process.http_pages import Page, serve
+from understudy.ros.actions.text_exchange import TextExchange
+from understudy.ros.runtime.arrival_wakeups import ArrivalWakeups
 from understudy.state.state_store import StateStore
 
 _logger = logging.getLogger(__name__)
@@ -166,11 +169,12 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         group.create_task(black_box.run())
         if reports is not None:
             group.create_task(observer.follow_writers())
+            writes, reads = mux_messages.topics(namespace, workload)
             group.create_task(
                 MuxOrders(
                     client,
                     view,
-                    observer.graph,
+                    TextExchange(observer.graph, ArrivalWakeups(), reads=reads, writes=writes),
                     reports,
                     lambda: ready_names(fleet, agents, gate.state.active_uid),
                     monitor_loop.act.safety,

@@ -93,12 +93,15 @@ class Heard:
     """When the mux began to forward the present instance, or to listen."""
     last: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """Time of the last sample by instance and output."""
+    discovered_by: float = 0.0
+    """Until when the process may not have discovered an instance that sends: one that was never heard is not silent before."""
 
     def silent_at(self, source: str, silences: Mapping[str, float]) -> float:
         """Return when an instance has been silent for too long, if it is not heard again; infinite if no silence counts."""
         last = self.last.get(source, {})
         return min(
-            (max(self.since, last.get(output, 0.0)) + most for output, most in silences.items()), default=math.inf
+            (max(self.since, last.get(output, self.discovered_by)) + most for output, most in silences.items()),
+            default=math.inf,
         )
 
     def drives(self, source: str, silences: Mapping[str, float], now: float) -> bool:
@@ -155,5 +158,5 @@ def undriven_at(control: Control, heard: Heard) -> float:
     if not control.source:
         return heard.since + standing.safe_after
     silences = [*standing.silences.values(), *(standing.on_board.silences.values() if standing.on_board else ())]
-    last = max(heard.last.get(control.source, {}).values(), default=0.0)
+    last = max(heard.last.get(control.source, {}).values(), default=heard.discovered_by)
     return max(heard.since, last) + min(silences, default=math.inf) + standing.safe_after

@@ -11,6 +11,7 @@ import math
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from typing import Any, Protocol
 
 from understudy.api.protocol.agent_messages import ProtocolError
@@ -21,6 +22,10 @@ _logger = logging.getLogger(__name__)
 
 REMEMBERED = 60.0
 """Seconds for which an instance that is silent stays in the reports."""
+
+DISCOVERY = 2.0
+"""Seconds after the start of the process in which it may have discovered the writers of a successor, and not yet those of the present
+instance."""
 
 
 class Route(Protocol):
@@ -68,7 +73,7 @@ class Forwarder:
         self.strangers: tuple[str, ...] = ()
         """As in the reports."""
         self._last: dict[str, dict[str, float]] = defaultdict(dict)
-        self._since = clock()
+        self._begun_at = self._since = clock()
         self._first = math.nan
         self._forwarded = 0
         self._begun: set[str] = set()
@@ -147,7 +152,10 @@ class Forwarder:
         return min(dues, default=math.inf)
 
     def order(self, text: str) -> None:
-        """Carry out an order, unless it is refused. A text that is no authentic order is ignored."""
+        """Carry out an order, unless it is refused. A text that is no authentic order is ignored.
+
+        If the order cannot be kept, nobody is forwarded instead of the instance that it fences.
+        """
         try:
             found, nonce = read_order(text, self._keys)
         except ProtocolError as error:
@@ -167,6 +175,8 @@ class Forwarder:
             except OSError as error:
                 self._refused = f"the mux cannot keep it: {error}"
                 _logger.error("an order is refused: %s", self._refused)
+                if control.source != self.control.source:  # fenced nevertheless: nobody needs to be remembered for that
+                    self._apply(replace(self.control, source=""), self._clock())
 
     def report(self) -> str:
         """Return the text of the present report."""
@@ -197,11 +207,14 @@ class Forwarder:
 
     @property
     def _heard(self) -> Heard:
-        return Heard(self._since, self._last)
+        return Heard(self._since, self._last, self._begun_at + DISCOVERY)
 
     def _decide(self, control: Control, now: float) -> None:
         """Keep a control before it has any effect. Raises OSError."""
         self._journal.save(control)
+        self._apply(control, now)
+
+    def _apply(self, control: Control, now: float) -> None:
         if control.source != self.control.source:
             self._since, self._first, self._forwarded, self._begun = now, math.nan, 0, set()
             for route in self._routes:

@@ -10,9 +10,11 @@ from typing import Any, cast
 
 import aiohttp
 
+from tests.unit.interleavings import gates
 from tests.unit.interleavings.apiserver import ApiServer
 from tests.unit.interleavings.blanks import BlackBox, Keeping, RobotReaders
 from tests.unit.interleavings.drivers import Says
+from tests.unit.interleavings.gates import NAMESPACE
 from tests.unit.interleavings.kept_states import KeptStates
 from tests.unit.interleavings.network import Network, SimulatedClient
 from tests.unit.interleavings.robots import Robots
@@ -32,9 +34,10 @@ from understudy.controller.runtime import process as running
 from understudy.controller.runtime.workers import Operator
 from understudy.failover.journal import Journal
 from understudy.failover.progress import PodIdentity
-from understudy.kube.client import NETWORK_POLICIES, NODES, PODS, ApiError, Client, Expired, Object, Resource
+from understudy.kube.client import NODES, PODS, ApiError, Client, Expired, Object, Resource
 from understudy.kube.events import Recorder
-from understudy.kube.gates.base import GateRecord
+from understudy.kube.gates import registry
+from understudy.kube.gates.base import GateRecord, Proof
 from understudy.kube.leader_election import LeadershipLost, Lease, Timing
 from understudy.monitor.act.instances.state_manager import StateManager
 from understudy.monitor.act.objects.cluster import Cluster
@@ -52,7 +55,6 @@ from understudy.monitor.observe.senses import Senses
 from understudy.monitor.observe.wakeups import Wakeups
 from understudy.monitor.report.status_writer import StatusWriter
 
-NAMESPACE = "fleet"
 RESYNC = 30.0
 LEASE = "understudy-operator"
 TIMING = Timing(lasts=4.0, renew_within=2.5, every=1.0)
@@ -93,6 +95,8 @@ class Fuse(CrashPoints):
 class Monitor:
     """One monitor of one workload, from its start to its end."""
 
+    gate_kind = registry.DEFAULT
+
     def __init__(
         self,
         process: Process,
@@ -132,8 +136,7 @@ class Monitor:
             self.cut_off_at = now
         if self.current.progress is not None:
             self.recovered_at = now
-        gate = network.server.get("networkpolicies", (NAMESPACE, names.gate(self.workload)))
-        self.is_behind = _epoch(gate) > _epoch(self._gate)
+        self.is_behind = _epoch(gates.find(network.server, self.workload)) > _epoch(self._gate)
 
     @property
     def is_hindered(self) -> bool:
@@ -167,7 +170,7 @@ class Monitor:
         known = self._observer.known_since if self._observer else {}
         return frozenset(uid for uid, since in known.items() if since <= at)
 
-    def _make_agents(self, client: Client, view: ClusterView, roles: InstanceRoles, probes: Probes) -> AgentConnections:
+    def _make_agents(self, client: Client, view: ClusterView, roles: InstanceRoles, probes: Proof) -> AgentConnections:
         return AgentConnections(client, view, self.workload, self.fuse, roles, self.wakeups, probes)
 
     def _make_state_manager(self, agents: AgentConnections, notices: Notices) -> StateManager:
@@ -179,10 +182,10 @@ class Monitor:
     def _make_observer(self) -> HealthObserver:
         return HealthObserver(self.process, self._robots, self.workload, self._look_at_gate)
 
-    def _make_probes(self) -> Probes:
+    def _make_probes(self) -> Proof:
         return Probes(self.process, self._robots, self.workload)
 
-    def _beside(self, parts: Parts, group: asyncio.TaskGroup) -> None:
+    def _beside(self, loop: MonitorLoop, parts: Parts, group: asyncio.TaskGroup) -> None:
         """Have run beside the supervisor what else there is."""
         return
 
@@ -190,7 +193,7 @@ class Monitor:
         """As ``understudy.monitor.process`` puts it together."""
         client = self._network.client(self.process)
         async with asyncio.TaskGroup() as group:
-            view = self._view = ClusterView(client, NAMESPACE, self.workload, self.wakeups, me=self.pod)
+            view = self._view = ClusterView(client, NAMESPACE, self.workload, self.wakeups, self.gate_kind, self.pod)
             await view.run(group)
             notices = self.notices = Notices(PublishedStatus.adopt(view.object))
             fleet = PodControl(client, view, self.fuse, notices)
@@ -208,9 +211,10 @@ class Monitor:
                 black_box=cast(Any, BlackBox()),
                 notices=notices,
             )
-            self._beside(parts, group)
+            monitor_loop = MonitorLoop(parts)
+            self._beside(monitor_loop, parts, group)
             group.create_task(StatusWriter(client, view, Silent(), notices).run())
-            await MonitorLoop(parts).run()
+            await monitor_loop.run()
 
     def _look_at_gate(self) -> None:
         if self._view is not None:
@@ -247,9 +251,8 @@ class Monitor:
             p["metadata"]["name"]: p for p in pods if labels[p["metadata"]["name"]].get(names.WORKLOAD) == self.workload
         }
         yield from _differences(str(self.process), view.pods.items, found)
-        gate = names.gate(self.workload)
-        policies = server.items["networkpolicies"]
-        found = {gate: policies[(NAMESPACE, gate)]} if (NAMESPACE, gate) in policies else {}
+        gate = gates.find(server, self.workload)
+        found = {names.gate(self.workload): gate} if gate is not None else {}
         yield from _differences(str(self.process), view.gates.items, found)
 
     def wake(self) -> None:
@@ -304,10 +307,13 @@ class OperatorProcess:
 
     def mistaken(self, server: ApiServer) -> Iterator[str]:
         """What it takes to be so of pods and gates, and isn't."""
-        for resource in (PODS, NETWORK_POLICIES):
-            found = {name: item for (_, name), item in server.items[resource.plural].items()}
-            known = self._store.in_namespace(resource, NAMESPACE)
-            yield from _differences(str(self.process), known, found)
+        found = {name: item for (_, name), item in server.items[PODS.plural].items()}
+        yield from _differences(str(self.process), self._store.in_namespace(PODS, NAMESPACE), found)
+        for plural, kind in gates.KINDS.items():
+            found = {name: item for (_, name), item in server.items[plural].items() if name != LEASE}
+            known = self._store.in_namespace(kind.resource, NAMESPACE)
+            mine = {name: item for name, item in known.items() if name != LEASE}
+            yield from _differences(str(self.process), mine, found)
 
     async def run(self) -> None:
         """As ``understudy.controller.runtime.process`` puts it together."""

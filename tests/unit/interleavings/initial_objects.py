@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from tests.unit.controller import world
 from tests.unit.interleavings.actors import NAMESPACE
-from tests.unit.interleavings.apiserver import ApiServer
+from tests.unit.interleavings.apiserver import EPOCH, ApiServer, stamp
 from tests.unit.interleavings.kept_states import KEPT
 from tests.unit.interleavings.pods import REFERRED
 from tests.unit.interleavings.scenes import ROBOTS, Scene
@@ -36,8 +36,9 @@ def create(scene: Scene, server: ApiServer) -> None:
         items.append(world.hot(per_workload=scene.standbys, **more))
     for name in scene.workload_names:
         more = {"workloadRef": {"kind": scene.refers, "name": f"app-{name}"}} if scene.refers else {}
-        if scene.reflex:
-            more["gate"] = {"reflex": {"deadline": scene.reflex}, "robots": [ROBOTS]}
+        gate = {"kind": "Mux"} if scene.muxed else {"robots": [ROBOTS]} if scene.reflex else {}
+        if gate:
+            more["gate"] = gate | ({"reflex": {"deadline": scene.reflex}} if scene.reflex else {})
         if scene.tasks:
             action = {"action": "/carry", "type": "nav2_msgs/action/NavigateToPose"}
             more["tasks"] = [action | {"onFailover": scene.tasks}]
@@ -52,7 +53,8 @@ def create(scene: Scene, server: ApiServer) -> None:
         "RobotWorkload": "robotworkloads",
     }
     for item in items:
-        metadata = {**item["metadata"], "namespace": NAMESPACE, "generation": 1}
+        created = {"creationTimestamp": stamp(EPOCH)} if scene.muxed else {}  # orders begin with it
+        metadata = {**item["metadata"], **created, "namespace": NAMESPACE, "generation": 1}
         server.write(plurals[item["kind"]], (NAMESPACE, metadata["name"]), {**item, "metadata": metadata}, "somebody")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 
+from tests.unit.interleavings import gates
 from tests.unit.interleavings.apiserver import ApiServer
 from tests.unit.interleavings.commands import Commands
 from tests.unit.interleavings.drivers import Drivers
@@ -22,7 +23,6 @@ from understudy.failover.progress import Committed
 from understudy.kube.apply import controller_of
 from understudy.kube.client import Object
 from understudy.kube.gates.base import GateRecord
-from understudy.kube.gates.kinds.network_policy import GATE
 
 KNOWN = 70.0
 """Seconds within which an operator knows of a pool's new size, or of a pod that has gone: two of its lists, and their longest waits."""
@@ -69,9 +69,8 @@ class Invariants:
         )
         self.kept_states = KeptStates(lambda text: None if robots.clocks_differ else broken(text))
         self.undriven = Undriven(lambda: robots.now, broken)
-        for (_, name), gate in server.items["networkpolicies"].items():
-            if name.endswith("-gate"):
-                self.commands.see(name.removesuffix("-gate"), GateRecord.of(gate))
+        for workload, gate in gates.everyone(server):
+            self.commands.see(workload, GateRecord.of(gate))
 
     # -- at every write ---------------------------------------------------------------------------------------------
 
@@ -97,7 +96,7 @@ class Invariants:
             sizes += [(self._robots.now, _size(old)), (self._robots.now, _size(new))]
         elif plural == "nodes" and new is not None:
             self._emptied[_name(new)] = math.inf if leaving_nodes.is_cordoned(new) else self._robots.now + KNOWN
-        elif plural == "networkpolicies" and new is not None and _name(new).endswith("-gate"):
+        elif new is not None and gates.is_gate(plural, new):
             self._gate(old, new)
 
     def tampered(self, pod: Object) -> None:
@@ -152,7 +151,7 @@ class Invariants:
         """Each commit is of the next epoch, no other write lowers it, and lets exactly the pod through that it names."""
         after = GateRecord.of(new)
         self.commands.see(_name(new).removesuffix("-gate"), after)
-        through = GATE.let_through(new)
+        through = gates.let_through(new)
         if through != self._named(after):
             self._broken(f"{_name(new)} lets {through} through and names {after.active!r}")
         if through and _name(new).removesuffix("-gate") in self.fenced:
@@ -160,7 +159,7 @@ class Invariants:
         if old is not None:
             before = GateRecord.of(old)
             changed = self._control(old) != self._control(new)
-            # The operator raises the epoch of a gate that it created from a status that was older than it knew (gates.base.repair).
+            # The epoch of a gate that was created again may be raised: to that of the status, or beyond the one that a mux knows.
             if after.epoch < before.epoch or (changed and after.epoch != before.epoch + 1):
                 self._broken(f"{_name(new)} went from epoch {before.epoch} to {after.epoch}")
             self.commits += changed
@@ -204,7 +203,7 @@ class Invariants:
 
     def _control(self, gate: Object) -> object:
         """What another epoch is needed for to change."""
-        return GateRecord.of(gate).active_uid, GATE.let_through(gate)
+        return GateRecord.of(gate).active_uid, gates.let_through(gate)
 
     def _routed(self, workload: str, through: tuple[str, ...]) -> list[str]:
         found = []
@@ -259,11 +258,11 @@ class Invariants:
     def routed(self, robot: str) -> None:
         """No two pods reach a robot at once, but for what is left of one whose object is gone, and for nodes that enforce old gates."""
         self.drivers.routed(robot)
-        gates = self._server.items["networkpolicies"].items()
-        named = {GateRecord.of(gate).active_uid for (_, name), gate in gates if name == names.gate(robot)}
+        record = gates.record(self._server, robot)
+        named = record.active_uid if record is not None else ""
         for one in self._heard(robot):
             # As a StatefulSet's successor of the pod that the record names, since the gate selects by name. It may be ended as a leak.
-            one.harmed |= one.uid not in named
+            one.harmed |= one.uid != named
         found = [r for r in self._heard(robot) if r.exists]
         excused = any(self._robots.nodes.is_late(r.node) or self._is_tampered(r.uid) for r in found)
         if len(found) > 1 and not excused:
@@ -286,18 +285,17 @@ class Invariants:
         return [*self._undriven(), *self._unended(), *self._unfilled(), *self._leaked()]
 
     def _undriven(self) -> Iterator[str]:
-        for (namespace, workload), _ in sorted(self._server.items["robotworkloads"].items()):
-            gate = self._server.get("networkpolicies", (namespace, names.gate(workload)))
-            uid = GateRecord.of(gate).active_uid if gate is not None else ""
-            found = self._robots.running.get(uid)
+        for _, workload in sorted(self._server.items["robotworkloads"]):
+            gate = gates.record(self._server, workload)
+            found = self._robots.running.get(gate.active_uid) if gate is not None else None
             if found is None or not found.through:
                 yield f"{workload} isn't driven"
 
     def _unended(self) -> Iterator[str]:
         """Recoveries that dependents of a workload consider active, and that no monitor continues."""
-        for (namespace, workload), item in sorted(self._server.items["robotworkloads"].items()):
-            gate = self._server.get("networkpolicies", (namespace, names.gate(workload)))
-            found = recoveries.beside(GateRecord.of(gate).recovery) if gate is not None else None
+        for (_, workload), item in sorted(self._server.items["robotworkloads"].items()):
+            gate = gates.record(self._server, workload)
+            found = recoveries.beside(gate.recovery) if gate is not None else None
             if found is None:
                 continue
             status = RobotWorkloadStatus.model_validate(item.get("status") or {})
@@ -413,8 +411,7 @@ class Invariants:
         return "workloadRef" in self._server.items["robotworkloads"][(namespace, workload)]["spec"]
 
     def _in_control(self) -> set[str]:
-        policies = self._server.items["networkpolicies"]
-        return {GateRecord.of(policy).active_uid for (_, name), policy in policies.items() if name.endswith("-gate")}
+        return {GateRecord.of(gate).active_uid for _, gate in gates.everyone(self._server)}
 
     def _leaked(self) -> Iterator[str]:
         in_control = self._in_control()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from tests.unit.interleavings import apiserver
+from tests.unit.interleavings import apiserver, gates
 from tests.unit.interleavings.actors import NAMESPACE
 from tests.unit.interleavings.apiserver import EPOCH, ApiServer
 from understudy.api import names
@@ -13,7 +13,6 @@ from understudy.cli.control.fence import fencing
 from understudy.failover.progress import rfc3339
 from understudy.kube.client import Object
 from understudy.kube.gates.base import GateRecord
-from understudy.kube.gates.kinds.network_policy import GATE
 
 
 class Pauses:
@@ -50,11 +49,11 @@ class Pauses:
     def fence(self, robot: str) -> None:
         """Pause a robot, and close its gate for as long."""
         self.pause(robot, f"{FENCE}the robot is in the way")
-        gate = self._server.get("networkpolicies", (NAMESPACE, names.gate(robot)))
-        if gate is not None:
+        if (found := gates.place(self._server, robot)) is not None:
+            plural, gate = found
             generation = self._server.items["robotworkloads"][(NAMESPACE, robot)]["metadata"]["generation"]
-            closed = fencing(GATE, robot, GateRecord.of(gate), generation)
-            self._patch("networkpolicies", names.gate(robot), closed)
+            closed = fencing(gates.KINDS[plural], robot, GateRecord.of(gate), generation)
+            self._patch(plural, names.gate(robot), closed)
             self._fenced.add(robot)
 
     def _patch(self, plural: str, name: str, body: Object) -> None:

@@ -12,8 +12,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, cast
 
-from tests.unit.interleavings import simulation
-from tests.unit.interleavings.actors import NAMESPACE, Monitor
+from tests.unit.interleavings import gates, simulation
+from tests.unit.interleavings.actors import Monitor
 from tests.unit.interleavings.apiserver import EPOCH
 from tests.unit.interleavings.invariants import Invariants
 from tests.unit.interleavings.network import Weather
@@ -27,11 +27,9 @@ from tests.unit.interleavings.simulation import Simulation
 from tests.unit.interleavings.troubles import TROUBLES
 from tests.unit.interleavings.virtual_time import Clock
 from understudy.agent import prepare
-from understudy.api import names
 from understudy.api.kinds.robot_workload import Reflex
 from understudy.api.protocol import ownership_strength
 from understudy.failover.progress import PodIdentity
-from understudy.kube.gates.base import GateRecord
 
 FIRST = 1_000_000
 """From this seed on runs are of the reflex."""
@@ -165,9 +163,9 @@ class Reflexive(Simulation):
 
     def _standby(self, workload: str) -> str:
         """The standby that is let through, or else any."""
-        gate = self.server.get("networkpolicies", (NAMESPACE, names.gate(workload)))
-        if gate is not None and (admitted := GateRecord.of(gate).admitted_uid):
-            return admitted
+        gate = gates.record(self.server, workload)
+        if gate is not None and gate.admitted_uid:
+            return gate.admitted_uid
         others = [
             uid for uid, r in self.robots.running.items() if r.robot == workload and uid != self._active(workload)
         ]

@@ -21,6 +21,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any, cast
 
+from tests.unit.interleavings import gates
 from tests.unit.interleavings.invariants import Invariants, leaving
 from tests.unit.interleavings.ownership import PERIOD
 from tests.unit.interleavings.pods import Running
@@ -103,9 +104,8 @@ class ReflexInvariants(Invariants):
 
     def take_up(self) -> None:
         """Note how gates are when a run begins."""
-        for (_, name), gate in self._server.items["networkpolicies"].items():
-            if name.endswith("-gate"):
-                self._note(name.removesuffix("-gate"), GateRecord.of(gate))
+        for workload, gate in gates.everyone(self._server):
+            self._note(workload, GateRecord.of(gate))
 
     def _note(self, workload: str, record: GateRecord) -> None:
         """Who is let through from now on, and who no more."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tests.unit.interleavings.actors import NAMESPACE
+from tests.unit.interleavings import gates
 from tests.unit.interleavings.agents import Agent, Questions, Sessions
 from tests.unit.interleavings.apiserver import Place
 from tests.unit.interleavings.ownership import Reader, Writer
@@ -23,10 +23,8 @@ from tests.unit.interleavings.scenes import ROBOTS
 from tests.unit.interleavings.scheduling import Process
 from understudy.agent.isolation import Isolation
 from understudy.agent.writer_strength import WriterStrengths
-from understudy.api import names
 from understudy.api.base import seconds
 from understudy.api.kinds.robot_workload import Reflex
-from understudy.kube.gates.kinds.network_policy import GATE
 from understudy.ros.dds import exclusive_ownership
 
 ADDRESS = ROBOTS.partition("/")[0]
@@ -317,8 +315,8 @@ class ReflexRobots(Robots):
 
     def _enforce_at(self, node: str, workload: str) -> None:
         if self.reaches(node, "API server") and node not in self._stale:
-            policy = self.server.get("networkpolicies", (NAMESPACE, names.gate(workload)))
-            self._enforced[node, workload] = GATE.let_through(policy) if policy is not None else ()
+            policy = gates.find(self.server, workload)
+            self._enforced[node, workload] = gates.let_through(policy) if policy is not None else ()
             self.route(workload)
 
     def _catch_up(self, node: str) -> None:

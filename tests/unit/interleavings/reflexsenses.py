@@ -18,7 +18,7 @@ from understudy.api.protocol.agent_messages import SILENCE, AgentStatus
 from understudy.failover.interfaces import Instance
 from understudy.kube.agent_client import AgentGone
 from understudy.monitor.act.gate.permits import Permits
-from understudy.monitor.loop import Parts
+from understudy.monitor.loop import MonitorLoop, Parts
 from understudy.monitor.observe.agent_connections import ANSWER_LATE
 from understudy.monitor.observe.robot.known_senders import KnownSender, OutputSender
 from understudy.ros.runtime.graph_node import Endpoint, Graph
@@ -191,7 +191,7 @@ class ReflexMonitor(Monitor):
     def _make_probes(self) -> Probes:
         return ReflexProbes(self.process, self._robots, self.workload)
 
-    def _beside(self, parts: Parts, group: asyncio.TaskGroup) -> None:
+    def _beside(self, loop: MonitorLoop, parts: Parts, group: asyncio.TaskGroup) -> None:
         graph = cast(Graph, NoReaders())
         permits = Permits(parts.cluster, parts.senses.agents, graph, self.current, self.wakeups, parts.notices)
 

@@ -9,6 +9,7 @@ import random
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+from tests.unit.interleavings import gates
 from tests.unit.interleavings.apiserver import EPOCH, ApiServer, Place, stamp
 from tests.unit.interleavings.network import Network
 from tests.unit.interleavings.nodes import Nodes
@@ -20,7 +21,6 @@ from understudy.api import names
 from understudy.api.protocol.kept_state import KeptState
 from understudy.kube.apply import controller_of
 from understudy.kube.client import Object
-from understudy.kube.gates.kinds.network_policy import GATE
 
 BY = "the cluster"
 NODES = ("a", "b", "c")
@@ -91,8 +91,8 @@ class Robots:
         elif plural == "networkpolicies":
             item = new or old
             assert item is not None
-            name = item["metadata"]["name"]
-            if name.endswith("-gate"):
+            if gates.is_gate(plural, item):
+                name = item["metadata"]["name"]
                 self.later(self.between(0.001, 0.02), self._enforce, name.removesuffix("-gate"))
         elif plural == "replicasets" and new is not None:
             self.later(self.between(0.005, 0.1), self._replicate, _place(new))
@@ -494,11 +494,9 @@ class Robots:
 
     def _enforce(self, workload: str) -> None:
         """The network acts by a gate as it is now."""
-        policy = next(
-            (p for (_, n), p in self.server.items["networkpolicies"].items() if n == names.gate(workload)), None
-        )
+        policy = gates.find(self.server, workload)
         before = self.let_through.get(workload, ())
-        self.let_through[workload] = GATE.let_through(policy) if policy is not None else ()
+        self.let_through[workload] = gates.let_through(policy) if policy is not None else ()
         for node, lag in self.nodes.changes(workload, before).items():
             self.later(lag, self._catch_up_late, node, workload)
         self.route(workload)

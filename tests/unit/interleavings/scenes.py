@@ -36,9 +36,11 @@ class Scene:
     keeps: bool = False
     """Whether the state of applications is kept."""
     reflex: str = ""
-    """The deadline of the robots' readers; no reflex where it is empty."""
+    """The deadline of the robots' readers, or of the muxes; no reflex where it is empty."""
     tasks: str = ""
     """What happens to goals at a failover (``onFailover``); no tasks where it is empty."""
+    muxed: bool = False
+    """Whether the gates are of kind Mux, and a mux at each robot forwards the instance in control."""
 
     @property
     def workload_names(self) -> list[str]:
@@ -86,6 +88,8 @@ class Outcome:
     """Its result; None if there is none."""
     tasks: dict[str, int] = field(default_factory=dict)
     """Numbers of goals; empty without tasks."""
+    muxes: dict[str, int] = field(default_factory=dict)
+    """What muxes did; empty without them."""
 
     def __str__(self) -> str:
         text = "\n".join([*self.trace, *(f"DOES NOT HOLD: {fault}" for fault in self.faults)])

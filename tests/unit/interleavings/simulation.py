@@ -82,7 +82,7 @@ class Simulation(Troubles):
         for workload in self.invariants.drivers.doubly:
             says = [one for m in self.monitors if m.workload == workload and (one := m.says()) is not None]
             self.invariants.drivers.look(workload, says)
-        if not self.scene.reflex:  # which has a closer look (reflexinvariants.py)
+        if not self.scene.reflex or self.scene.muxed:  # the others have a closer look (reflexinvariants.py)
             for workload in self.workloads:
                 able = self._able(workload) if self._is_unhindered(workload) else []
                 self.invariants.undriven.look(workload, able, self._longest)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 
-from tests.unit.interleavings import apiserver
+from tests.unit.interleavings import apiserver, gates
 from tests.unit.interleavings.actors import NAMESPACE, Monitor
 from tests.unit.interleavings.apiserver import EPOCH
 from tests.unit.interleavings.network import Weather
@@ -18,7 +18,6 @@ from understudy.api.kinds.switchover_spec import request
 from understudy.controller.observed import kube_objects
 from understudy.kube import apply
 from understudy.kube.client import Object
-from understudy.kube.gates.base import GateRecord
 
 TROUBLE = (4.0, 14.0)
 """Seconds, at least and at most, for which things go wrong."""
@@ -67,7 +66,7 @@ FAILURES = ("freezes", "crashes", "fails", "deleted", "deleted by force", "stops
 """How an instance fails. One that stops for a while goes on later, and one that slows down goes on sending."""
 
 
-WATCHED = ("pods", "networkpolicies", "robotworkloads")
+WATCHED = ("pods", "gates", "robotworkloads")
 """What a monitor learns from watches that may be half-open."""
 
 OURS = (names.WORKLOAD, names.INSTANCE, names.POOL, names.COMPONENT)
@@ -84,6 +83,11 @@ class Troubles(SimulatedCluster):
     """What may go wrong, and how often in comparison."""
     _lasts = 0.0
     """When it ends."""
+
+    @property
+    def gate_plural(self) -> str:
+        """The plural of the gate objects."""
+        return "leases" if self.scene.muxed else "networkpolicies"
 
     def _plan_trouble(self) -> float:
         """Have things go wrong for a while; until when."""
@@ -106,8 +110,8 @@ class Troubles(SimulatedCluster):
         return lasts
 
     def _active(self, workload: str) -> str:
-        gate = self.server.get("networkpolicies", (NAMESPACE, names.gate(workload)))
-        return GateRecord.of(gate).active_uid if gate is not None else ""
+        gate = gates.record(self.server, workload)
+        return gate.active_uid if gate is not None else ""
 
     def _break(self, uid: str, how: str) -> None:
         found = self.robots.running.get(uid)
@@ -249,7 +253,7 @@ class Troubles(SimulatedCluster):
     def _watch_falls_silent(self) -> None:
         if self.operators:
             operator = self.choices.choice(self.operators)
-            plural = self.choices.choice(["pods", "networkpolicies", "robotworkloads", "fallbackpools"])
+            plural = self.choices.choice(["pods", self.gate_plural, "robotworkloads", "fallbackpools"])
             self.note(f"{operator.process}: the watch of {plural} falls silent")
             operator.silent.add(plural)
 
@@ -279,6 +283,7 @@ class Troubles(SimulatedCluster):
     def _monitor_watch_is_half_open(self) -> None:
         if self.monitors:
             process, plural = self.choices.choice(self.monitors).process, self.choices.choice(WATCHED)
+            plural = self.gate_plural if plural == "gates" else plural
             self.note(f"{process}: the watch of {plural} is half-open")
             self.network.fall_silent(process, plural)
 
@@ -351,7 +356,7 @@ class Troubles(SimulatedCluster):
         """By somebody: what the operator makes again."""
         found = [
             (plural, place)
-            for plural in ("networkpolicies", "replicasets", "configmaps")
+            for plural in (self.gate_plural, "replicasets", "configmaps")
             for place, item in sorted(self.server.items[plural].items())
             if kube_objects.MANAGED_BY.items() <= kube_objects.labels(item).items()
         ]

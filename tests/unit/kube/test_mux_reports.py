@@ -46,6 +46,27 @@ def test_a_report_that_answers_no_recent_order_does_not_count(reports: MuxReport
     assert reports.latest is None
 
 
+@pytest.mark.parametrize(
+    ("token", "source", "expected"),
+    [
+        (Token(1000.0, 9), "w-2", 9),
+        (Token(1000.0, 5), "w-2", 5),
+        (Token(1000.0, 5, 1), "w-2", 0),
+        (Token(1000.0, 4), "w-2", 0),
+        (Token(2000.0, 9), "w-2", 0),
+    ],
+    ids=["newer", "used before", "a switch of its own", "older, so the disk is full", "of another workload"],
+)
+def test_an_epoch_that_the_mux_refuses_for_another_one_is_known(
+    reports: MuxReports, token: Token, source: str, expected: int
+) -> None:
+    reports.add(replace(REPORT, token=token, source=source))
+    assert reports.carried_out(5) == 0, "it refuses nothing"
+    reports.add(replace(REPORT, token=token, source=source, refused="the order is refused"))
+    assert reports.carried_out(5) == expected
+    assert reports.carried_out(6) == 0, "no order of the present gate is answered yet"
+
+
 async def test_who_waits_is_woken_by_the_report_that_carries_the_order_out(reports: MuxReports) -> None:
     reports.add(REPORT)
     began = CLOCK.now()

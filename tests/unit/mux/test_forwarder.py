@@ -218,16 +218,51 @@ def test_a_mux_that_restarts_goes_on_and_refuses_older_orders(stand: Stand) -> N
     assert stand.report.source == "w-2"
 
 
-def test_a_decision_that_cannot_be_kept_has_no_effect(stand: Stand, tmp_path: Path) -> None:
+def test_an_order_that_cannot_be_kept_fences_and_puts_nobody_in_control(stand: Stand, tmp_path: Path) -> None:
     stand.order(ORDER)
     (tmp_path / "control.new").mkdir()
     report = stand.order(replace(ORDER, epoch=6, source="w-2"), "later")
-    assert (report.source, report.nonce) == ("w-1", "later")
+    assert (report.source, report.nonce) == ("", "later"), (
+        "the order fences the first one, and the second one is not kept"
+    )
     assert "cannot keep it" in report.refused
+    stand.after(1.0, "w-1", "w-2")
+    assert stand.topic.forwarded == []
+    stand.start()
+    assert stand.report.source == "w-1", "the next order comes soon"
+    stand.order(replace(ORDER, epoch=6, source=""))
+    assert stand.report.source == ""
+    (tmp_path / "control.new").rmdir()
+    stand.order(replace(ORDER, epoch=6, source="w-2"))
+    stand.after(0.01, "w-1", "w-2")
+    assert stand.topic.forwarded == ["w-2"]
+
+
+def test_an_order_that_cannot_be_kept_does_not_stop_the_instance_that_it_names(stand: Stand, tmp_path: Path) -> None:
+    stand.order(ORDER)
+    (tmp_path / "control.new").mkdir()
+    assert "cannot keep it" in stand.order(replace(ORDER, epoch=6)).refused
+    stand.after(0.01, "w-1")
+    assert stand.topic.forwarded == ["w-1"]
+
+
+def test_a_switch_that_cannot_be_kept_is_not_made(stand: Stand, tmp_path: Path) -> None:
+    stand.order(ORDER)
+    stand.after(0.1, "w-1")
+    (tmp_path / "control.new").mkdir()
     stand.after(1.0, "w-2")
     assert stand.report.source == "w-1"
     (tmp_path / "control.new").rmdir()
     stand.after(0.01, "w-2")
+    assert stand.report.source == "w-2"
+
+
+def test_an_instance_is_not_replaced_before_a_mux_that_has_just_started_can_have_discovered_it(stand: Stand) -> None:
+    stand.order(ORDER)
+    stand.start()
+    stand.after(1.0, "w-2")
+    assert stand.report.source == "w-1", "it may send all the time"
+    stand.after(1.6, "w-2")
     assert stand.report.source == "w-2"
 
 

@@ -129,6 +129,13 @@ class Proof(Protocol):
         """Note that this monitor has just committed the gate object at an epoch."""
         return
 
+    def carried_out(self, epoch: int) -> int:
+        """Return the epoch that somebody at the gate has carried out, if that is why the present one is refused there; 0 if it is not.
+
+        That one is older, or was used before: somebody deleted the gate object.
+        """
+        return 0
+
     def switched(self, active: str) -> tuple[str, float, float] | None:
         """Return whom somebody at the gate has put in control instead of the active instance, when that was last heard, and when the other
         one was first let through, in Unix seconds. None if nobody there has switched.
@@ -321,6 +328,13 @@ class GateKind(ABC):
         ``recovery`` is the id of the recovery that sent such a commit. Control does not change, so the epoch stays.
         """
         return {"metadata": {"resourceVersion": over.version, "annotations": {names.OVERTAKEN: recovery}}}
+
+    def raising(self, *, over: GateRecord, epoch: int) -> Object:
+        """Return the merge patch that gives the gate a greater epoch and changes nothing else.
+
+        It applies to exactly the record ``over``.
+        """
+        return {"metadata": {"resourceVersion": over.version, "annotations": {names.EPOCH: str(epoch)}}}
 
     def admission(
         self, workload: str, *, over: GateRecord, admitted: str, admitted_uid: str, let_through: str = ""

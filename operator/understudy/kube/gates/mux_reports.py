@@ -51,7 +51,8 @@ class MuxReports:
         self._decided_with = Token()
         self._known: tuple[int, Token] = (0, Token())
         """The epoch that this monitor committed last, and the newest token that it knew when it decided that."""
-        self._nonces: OrderedDict[str, None] = OrderedDict()
+        self._nonces: OrderedDict[str, int] = OrderedDict()
+        """Those of the recent orders, with the epoch of each."""
         self._acknowledged: dict[str, float] = {}
         self._changed = asyncio.Event()
         self._began = time.monotonic()
@@ -61,7 +62,7 @@ class MuxReports:
     def ordered(self, uid: str, order: Order, nonce: str) -> None:
         """Note an order that is about to be sent. ``uid`` is that of the instance that it names; empty for nobody."""
         self._ordered = (uid, order)
-        self._nonces[nonce] = None
+        self._nonces[nonce] = order.epoch
         if len(self._nonces) > NONCES:
             self._nonces.popitem(last=False)
 
@@ -155,6 +156,16 @@ class MuxReports:
             return None
         report = self.latest.report
         return report if report.on_board and report.token.epoch == epoch else None
+
+    def carried_out(self, epoch: int) -> int:
+        """Return the epoch that the mux has carried out, if it refuses the present one for that; 0 if it does not."""
+        found = self.latest
+        if found is None or self.is_silent or self._ordered is None or self._nonces.get(found.report.nonce) != epoch:
+            return 0
+        (_, order), report = self._ordered, found.report
+        was_used = report.token.epoch == epoch and not report.token.count and report.source != order.source
+        is_newer = report.token.epoch > epoch and report.token.workload_created == order.workload_created
+        return report.token.epoch if report.refused and order.epoch == epoch and (was_used or is_newer) else 0
 
     def switched(self, active: str) -> tuple[str, float, float] | None:
         """Return whom the mux forwards by its standing order, when it last heard the active instance, and when it first forwarded the

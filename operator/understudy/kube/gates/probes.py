@@ -411,6 +411,10 @@ class ProbeReceiver:
     def committed(self, epoch: int) -> None:
         """Nothing, as in :meth:`deciding`."""
 
+    def carried_out(self, epoch: int) -> int:
+        """Return 0: nodes enforce the gate object, of whatever epoch it is."""
+        return 0
+
     def switched(self, active: str) -> None:
         """Return None: nobody switches at the far side of the gate but the robot's own readers."""
 

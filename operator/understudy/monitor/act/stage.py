@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 
 from understudy.api.kinds.failure_policy import FailurePolicySpec
@@ -58,6 +59,7 @@ class ActStage:
         self.deferral = DeferredRecovery(cluster, limits, current, journal, notices)
         self.recoveries = RecoveryRunner(cluster.view, options, state_manager, current, self.abandonment, notices)
         self.labels = PodLabels(cluster)
+        self._raising: asyncio.Task[None] | None = None
         self._standbys = StandbySupervision(cluster, senses, state_manager, decide.unseen_restart, notices)
 
     def judged(self, judgement: Judgement) -> None:
@@ -90,6 +92,11 @@ class ActStage:
     async def restore_routing(self) -> None:
         """Undo what somebody else changed in whom the gate lets through."""
         await self._cluster.gate.restore_routing()
+
+    def raise_epoch(self) -> None:
+        """Have the orders carried out at the robot again, if somebody deleted the gate. Returns at once."""
+        if self._raising is None or self._raising.done():
+            self._raising = asyncio.create_task(self._cluster.gate.raise_epoch())
 
     async def restore_record(self, progress: Progress) -> None:
         """Name a recovery under way beside the gate again, if somebody deleted the gate."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import asyncio
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from rclpy.qos import QoSProfile
@@ -22,7 +24,7 @@ class TextExchange:
 
     def __init__(self, graph: Graph, wakeups: ArrivalWakeups, *, reads: str, writes: str) -> None:
         """Join both topics. A text that arrives wakes the process as a sample does."""
-        self._class, self._taker = message_class(_TYPE), SampleTaker()
+        self._class, self._taker, self._wakeups = message_class(_TYPE), SampleTaker(), wakeups
         self._subscription = graph.subscribe(reads, _TYPE, depth=_DEPTH, reliable=True)
         wakeups.add(self._subscription.handle)
         self._publisher: Any = graph.node.create_publisher(self._class, writes, QoSProfile(depth=_DEPTH))
@@ -32,6 +34,25 @@ class TextExchange:
         with self._subscription.handle:
             while (sample := self._taker.take(self._subscription.handle.pointer)) is not None:
                 yield str(deserialize_message(sample.data, self._class).data)
+
+    @contextmanager
+    def receiving(self, receive: Callable[[str], None]) -> Iterator[None]:
+        """Call a function with each text as it arrives, in the running event loop, until the context ends.
+
+        For an exchange whose wakeups are used by nothing else.
+        """
+
+        def arrived() -> None:
+            self._wakeups.clear()
+            for text in self.received():
+                receive(text)
+
+        loop = asyncio.get_running_loop()
+        loop.add_reader(self._wakeups.descriptor, arrived)
+        try:
+            yield
+        finally:
+            loop.remove_reader(self._wakeups.descriptor)
 
     def publish(self, text: str) -> None:
         """Publish a text."""

@@ -12,6 +12,7 @@ import pytest
 
 from tests.unit.kube.memory import MemoryClient
 from tests.unit.monitor.cluster_objects import ClusterObjects, workload_spec
+from tests.unit.monitor.gates import Packets
 from tests.unit.monitor.gates import gate as open_gate
 from understudy.api import names
 from understudy.api.kinds.pause_spec import FENCE
@@ -494,3 +495,15 @@ async def test_a_refused_repair_of_the_gate_is_repeated_once_a_second_or_if_the_
     objects.client.failing = lambda method, name: None
     await edit("another")
     assert await objects.gate.restore_routing()
+
+
+async def test_the_epoch_of_a_gate_that_somebody_deleted_is_raised_over_that_which_was_carried_out(
+    client: MemoryClient, found: ClusterView, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gate = await open_gate(client, found, tmp_path, FAILED)
+    await gate.raise_epoch()
+    assert gate.state.epoch == 4
+    monkeypatch.setattr(Packets, "carried_out", lambda self, epoch: 9 if epoch == 4 else 0, raising=False)
+    await gate.raise_epoch()
+    await gate.raise_epoch()
+    assert (gate.state.active, gate.state.epoch) == (FAILED.name, 10)

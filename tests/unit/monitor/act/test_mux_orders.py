@@ -68,6 +68,7 @@ class Stand:
         self.view = ClusterView(self.client, "fleet", "w", Wakeups(), KIND)
         self._monitor, self._robot = Graph("understudy_monitor"), Graph("understudy_mux_w")
         orders, reports = topics("fleet", "w")
+        self._monitors = TextExchange(self._monitor, ArrivalWakeups(), reads=reports, writes=orders)
         self._wakeups = ArrivalWakeups()
         self._exchange = TextExchange(self._robot, self._wakeups, reads=orders, writes=reports)
         self.route = HeardTopic()
@@ -115,7 +116,7 @@ class Stand:
         self._robot.close()
 
     async def monitor(self) -> None:
-        await MuxOrders(self.client, self.view, self._monitor, self.reports, lambda: self.ready, self.safety).run()
+        await MuxOrders(self.client, self.view, self._monitors, self.reports, lambda: self.ready, self.safety).run()
 
 
 @asynccontextmanager

@@ -13,7 +13,9 @@ import logging
 import math
 import secrets
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
+from typing import Protocol
 
 from understudy.api import moments, names
 from understudy.api.base import seconds
@@ -27,7 +29,6 @@ from understudy.api.protocol.mux_messages import (
     derive,
     order_text,
     read_report,
-    topics,
 )
 from understudy.failover import pinned
 from understudy.failover.interfaces import Agents, Instances
@@ -36,9 +37,6 @@ from understudy.kube.gates.base import GateRecord
 from understudy.kube.gates.mux_reports import MuxReports
 from understudy.monitor.act.safe_commands import SafeCommands
 from understudy.monitor.observe.objects.cluster_view import ClusterView
-from understudy.ros.actions.text_exchange import TextExchange
-from understudy.ros.runtime.arrival_wakeups import ArrivalWakeups
-from understudy.ros.runtime.graph_node import Graph
 
 _logger = logging.getLogger(__name__)
 
@@ -52,6 +50,16 @@ SECRET_AGAIN = 1.0
 """Seconds between two requests for the token, which the operator may not have written yet."""
 
 
+class Exchange(Protocol):
+    """Carries texts to the mux and back (ros/actions/text_exchange.py)."""
+
+    def publish(self, text: str) -> None:
+        """Send a text to the mux."""
+
+    def receiving(self, receive: Callable[[str], None]) -> AbstractContextManager[None]:
+        """Call a function with each text of the mux as it arrives, until the context ends."""
+
+
 class MuxOrders:
     """The orders to the mux of one workload."""
 
@@ -59,13 +67,13 @@ class MuxOrders:
         self,
         client: Client,
         view: ClusterView,
-        graph: Graph,
+        exchange: Exchange,
         reports: MuxReports,
         ready: Callable[[], Sequence[str]],
         safety: SafeCommands,
     ) -> None:
         """``ready`` returns the names of the instances that could drive now, the best one first."""
-        self._client, self._view, self._graph, self._reports, self._ready = client, view, graph, reports, ready
+        self._client, self._view, self._exchange, self._reports, self._ready = client, view, exchange, reports, ready
         self._safety = safety
         self._answered = ""
         """The nonce of the last order that the mux has answered."""
@@ -74,26 +82,14 @@ class MuxOrders:
 
     async def run(self) -> None:
         """Send orders and receive reports until cancelled."""
-        keys = derive(await self._token(), self._view.namespace, self._view.workload)
-        wakeups, loop = ArrivalWakeups(), asyncio.get_running_loop()
-        orders, reports = topics(self._view.namespace, self._view.workload)
-        exchange = TextExchange(self._graph, wakeups, reads=reports, writes=orders)
-
-        def arrived() -> None:
-            wakeups.clear()
-            for text in exchange.received():
-                self._receive(text, keys)
-
-        loop.add_reader(wakeups.descriptor, arrived)
-        try:
+        keys, loop = derive(await self._token(), self._view.namespace, self._view.workload), asyncio.get_running_loop()
+        with self._exchange.receiving(lambda text: self._receive(text, keys)):
             while True:
                 self._reports.wanted.clear()
-                self._send(exchange, keys, loop.time())
+                self._send(keys, loop.time())
                 with contextlib.suppress(TimeoutError):
                     async with asyncio.timeout(AGAIN):
                         await self._reports.wanted.wait()
-        finally:
-            loop.remove_reader(wakeups.descriptor)
 
     async def _token(self) -> bytes:
         name = names.mux(self._view.workload)
@@ -158,7 +154,7 @@ class MuxOrders:
             return True  # it takes the one of the first order of an epoch, whatever its revision
         return latest.report.standing == order.standing.digest
 
-    def _send(self, exchange: TextExchange, keys: MuxKeys, now: float) -> None:
+    def _send(self, keys: MuxKeys, now: float) -> None:
         """Send an order if the gate object has changed, if the last one was not answered, or if it was a while ago."""
         record, changes = self._view.gate_record, self._view.gates.revision
         created = moments.unix(((self._view.object or {}).get("metadata") or {}).get("creationTimestamp"))
@@ -173,7 +169,7 @@ class MuxOrders:
             return
         nonce = secrets.token_hex(8)
         self._reports.ordered(record.active_uid, order, nonce)
-        exchange.publish(order_text(order, nonce, keys))
+        self._exchange.publish(order_text(order, nonce, keys))
         self._sent = (changes, nonce, now, knows)
 
 

@@ -348,6 +348,24 @@ class GateControl:
         self._report_restored(f"the gate no longer named recovery {id_}: somebody had deleted it")
         return True
 
+    async def raise_epoch(self) -> None:
+        """Give the gate a greater epoch if an older gate had come further, which somebody deleted, and orders are refused for that.
+
+        Whom the gate names does not change. A failed write is repeated by a later call.
+        """
+        record = self.record
+        if record is None or not (carried_out := self._probes.carried_out(record.epoch)):
+            return
+        try:
+            await self._write_once(self._kind.raising(over=record, epoch=carried_out + 1))
+        except FAILURES as error:
+            _logger.warning("could not raise the epoch of the gate: %r", error)
+            return
+        self._notices.set(gate=GateStatus(epoch=self.state.epoch, active=self.state.active))
+        self._report_restored(
+            f"epoch {carried_out} had been carried out at the robot, and the gate was of epoch {record.epoch}: somebody had deleted it"
+        )
+
     def _report_restored(self, words: str) -> None:
         _logger.warning("restored the gate: %s", words)
         self._notices.event("Warning", "GateRestored", words)
