@@ -43,6 +43,37 @@ SELDOM, OFTEN = ("managed", "restarting", "uninitialized"), "executing"
 """Fixtures of robots that tests share. Few tests use most of them: these tests stay in one process. Each process has one of the last."""
 
 
+BOTH_KINDS = {
+    "test_fence",
+    "test_limits",
+    "test_reflex",
+    "test_safety",
+    "test_strategies",
+    "test_switchover",
+    "test_tasks",
+}
+"""Modules whose tests run with both kinds of gates."""
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Parametrize the gate's kind. A test that is marked ``network_policy`` is about packets, or about the robot's own readers."""
+    module = metafunc.module.__name__.rpartition(".")[2]
+    only = metafunc.definition.get_closest_marker("network_policy")
+    if "gate_kind" in metafunc.fixturenames and module in BOTH_KINDS and only is None:
+        metafunc.parametrize("gate_kind", ["NetworkPolicy", "Mux"])
+
+
+@pytest.fixture
+def gate_kind() -> str:
+    """``spec.gate.kind`` of the test's workloads."""
+    return "NetworkPolicy"
+
+
+def _kind(item: pytest.Item) -> str:
+    params: dict[str, object] = getattr(getattr(item, "callspec", None), "params", {})
+    return str(params.get("gate_kind", "NetworkPolicy"))
+
+
 @pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     mine = [item for item in items if "tests/e2e" in str(item.path)]
@@ -52,10 +83,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         if ALONE & set(getattr(item, "fixturenames", ())):
             item.add_marker(pytest.mark.alone)
         if (robot := _shared(item)) in SELDOM:
-            item.add_marker(pytest.mark.xdist_group(robot))
+            item.add_marker(pytest.mark.xdist_group(f"{robot} {_kind(item)}"))
     # Tests that share a robot come last: they are short, so that all processes end together. Until then, none of these robots runs.
     shared = {item: _shared(item) for item in mine}
-    items.sort(key=lambda item: ("", *SELDOM, OFTEN).index(shared.get(item, "")))
+    order = ("", *SELDOM, OFTEN)
+    items.sort(key=lambda item: (order.index(robot := shared.get(item, "")), _kind(item) if robot else ""))
 
 
 def _shared(item: pytest.Item) -> str:
@@ -166,34 +198,34 @@ def ends_with_file(shared: dict[str, Robot]) -> Iterator[None]:
 
 
 @pytest.fixture
-def executing(request: pytest.FixtureRequest) -> Robot:
+def executing(request: pytest.FixtureRequest, gate_kind: str) -> Robot:
     """A robot whose application has an executing standby."""
-    return _robot(request, "executing")
+    return _robot(request, "executing", gate_kind)
 
 
 @pytest.fixture
-def uninitialized(request: pytest.FixtureRequest) -> Robot:
+def uninitialized(request: pytest.FixtureRequest, gate_kind: str) -> Robot:
     """A robot whose application is protected by a pool of held pods."""
-    return _robot(request, "uninitialized")
+    return _robot(request, "uninitialized", gate_kind)
 
 
 @pytest.fixture
-def restarting(request: pytest.FixtureRequest) -> Robot:
+def restarting(request: pytest.FixtureRequest, gate_kind: str) -> Robot:
     """A robot whose application is only restarted."""
-    return _robot(request, "restart")
+    return _robot(request, "restart", gate_kind)
 
 
 @pytest.fixture
-def managed(request: pytest.FixtureRequest) -> Robot:
+def managed(request: pytest.FixtureRequest, gate_kind: str) -> Robot:
     """A robot whose application is a managed node, with a standby that waits configured."""
-    return _robot(request, "initialized", workload="managed/robotworkload.yaml")
+    return _robot(request, "initialized", gate_kind, workload="managed/robotworkload.yaml")
 
 
-def _robot(request: pytest.FixtureRequest, strategy: str, workload: str = "robotworkload.yaml") -> Robot:
+def _robot(request: pytest.FixtureRequest, strategy: str, kind: str, workload: str = "robotworkload.yaml") -> Robot:
     """The test's own robot, or the one that tests share."""
     if not _shared(request.node):
-        return _started(request.getfixturevalue("kubectl"), strategy, workload)
-    return _lent(request, strategy, lambda kubectl: _started(kubectl, strategy, workload))
+        return _started(request.getfixturevalue("kubectl"), strategy, kind, workload)
+    return _lent(request, f"{strategy} {kind}", lambda kubectl: _started(kubectl, strategy, kind, workload))
 
 
 @pytest.fixture
@@ -236,8 +268,8 @@ def _lent(request: pytest.FixtureRequest, name: str, start: Callable[[Kubectl], 
     return lent
 
 
-def _started(kubectl: Kubectl, strategy: str, workload: str) -> Robot:
-    robot = Robot(kubectl)
+def _started(kubectl: Kubectl, strategy: str, kind: str, workload: str) -> Robot:
+    robot = Robot(kubectl, gate_kind=kind)
     kubectl.apply(manifest(f"strategies/{strategy}.yaml"))
     kubectl.apply(robot.objects(policy=f"quickstart-{strategy}", workload=workload))
     robot.wait_protected()

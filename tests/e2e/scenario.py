@@ -51,6 +51,14 @@ def patient(objects: list[Object], gap: str = "2s") -> list[Object]:
     return objects
 
 
+def mux_pod(workload: str) -> Object:
+    """A pod with nothing but the mux of a workload, as the quickstart's robot has one."""
+    text = yaml.safe_dump(manifest("mux/robot.yaml")[0]["spec"]["template"]["spec"])
+    spec: Object = yaml.safe_load(text.replace("robot-1-drive", workload))
+    spec["containers"] = [one for one in spec["containers"] if one["name"] == "mux"]
+    return {"apiVersion": "v1", "kind": "Pod", "metadata": {"name": f"{workload}-mux"}, "spec": spec}
+
+
 class Late(AssertionError):
     """Something didn't come in time."""
 
@@ -86,8 +94,8 @@ def eventually(
 class Robot:
     """One robot, its application and their protection."""
 
-    def __init__(self, kubectl: Kubectl, name: str = "robot-1") -> None:
-        self.kubectl, self.name = kubectl, name
+    def __init__(self, kubectl: Kubectl, name: str = "robot-1", gate_kind: str = "NetworkPolicy") -> None:
+        self.kubectl, self.name, self._gate_kind = kubectl, name, gate_kind
         self.workload = f"{name}-drive"
         self._begun, self._recovered_before = 0.0, 0
 
@@ -103,7 +111,8 @@ class Robot:
         folder: str = "",
     ) -> list[Object]:
         """The robot's and its workload's manifests under this robot's name; ``folder`` is that of both, if it is another one."""
-        found = copy.deepcopy(manifest(f"{folder}robot.yaml") + manifest(f"{folder}{workload}"))
+        robot = "mux/robot.yaml" if self._gate_kind == "Mux" else f"{folder}robot.yaml"
+        found = copy.deepcopy(manifest(robot) + manifest(f"{folder}{workload}"))
         text = yaml.safe_dump_all(found).replace("robot-1", self.name)
         found = list(yaml.safe_load_all(text))
         item = next(item for item in found if item["kind"] == "RobotWorkload")
@@ -111,6 +120,8 @@ class Robot:
         item["spec"]["failurePolicyRef"] = {"name": policy}
         if edit:
             edit(item)
+        if self._gate_kind == "Mux":
+            item["spec"].setdefault("gate", {})["kind"] = "Mux"
         return found
 
     def wait_driven(self, within: float = 120.0) -> str:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import time
 
+import pytest
+
 from tests.e2e.console import understudy
 from tests.e2e.scenario import Robot
 
@@ -40,6 +42,7 @@ def test_nobody_drives_a_robot_that_was_fenced_until_somebody_resumes(executing:
     executing.wait_protected()
 
 
+@pytest.mark.network_policy  # with a mux, the robot needs no profile
 def test_a_robot_outside_the_cluster_gets_the_same_profile_as_one_inside(restarting: Robot) -> None:
     kubectl, name = restarting.kubectl, restarting.workload
     told = understudy(kubectl, "robot-profile", name, "-o", "json")

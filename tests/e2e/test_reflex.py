@@ -36,9 +36,9 @@ def with_reflex(workload: Object) -> None:
 
 
 @pytest.fixture
-def reflexive(kubectl: Kubectl) -> Robot:
-    """A robot whose reader falls over to an executing standby by itself."""
-    robot = Robot(kubectl)
+def reflexive(kubectl: Kubectl, gate_kind: str) -> Robot:
+    """A robot whose reader, or whose mux, falls over to an executing standby by itself."""
+    robot = Robot(kubectl, gate_kind=gate_kind)
     kubectl.apply(manifest("strategies/executing.yaml"))
     kubectl.apply(staying(robot.objects(policy="quickstart-executing", edit=with_reflex)))
     robot.wait_protected()
@@ -142,6 +142,7 @@ def test_the_reflex_works_without_the_api_server_and_is_committed_once_it_is_bac
     eventually(lambda: not reflexive.has_pod(old), within=60, what=f"the failed pod {old} is gone")
 
 
+@pytest.mark.network_policy  # a mux does not go back to the pod that thaws
 @pytest.mark.long
 @pytest.mark.local_only
 def test_a_pod_that_thaws_while_there_is_no_api_server_drives_until_the_commit_and_never_after(

@@ -14,7 +14,7 @@ import pytest
 
 from tests.e2e.conftest import SYSTEM
 from tests.e2e.kubectl import Kubectl, Object
-from tests.e2e.scenario import eventually, never
+from tests.e2e.scenario import eventually, mux_pod, never
 
 NODES = Path(__file__).parents[1] / "unit" / "action_proxy" / "nodes.py"
 IMAGE = "localhost/understudy-monitor:dev"
@@ -44,12 +44,13 @@ class Cell:
     gap = "1s"
     """How long its output may be silent."""
 
-    def __init__(self, kubectl: Kubectl, strategy: str, *other_tasks: Object) -> None:
-        self.kubectl = kubectl
+    def __init__(self, kubectl: Kubectl, strategy: str, *other_tasks: Object, gate_kind: str = "NetworkPolicy") -> None:
+        self.kubectl, self._gate_kind = kubectl, gate_kind
         self._other_tasks = other_tasks
         config = {"apiVersion": "v1", "kind": "ConfigMap", "metadata": {"name": "nodes"}}
         kubectl.apply(
             [config | {"data": {"nodes.py": NODES.read_text()}}, *self._protection(strategy), self._workload()]
+            + ([mux_pod(NAME)] if gate_kind == "Mux" else [])
         )
 
     @property
@@ -88,6 +89,7 @@ class Cell:
                 "outputs": [{"topic": "/cmd_vel", "type": "std_msgs/msg/String"}],
                 "tasks": self.tasks(),
                 "failurePolicyRef": {"name": NAME},
+                "gate": {"kind": self._gate_kind},
             },
         }
 
@@ -187,16 +189,16 @@ class Client:
 
 
 @pytest.mark.long
-def test_goals_outlive_two_instances_and_the_proxys_restart_with_held_pods(kubectl: Kubectl) -> None:
+def test_goals_outlive_two_instances_and_the_proxys_restart_with_held_pods(kubectl: Kubectl, gate_kind: str) -> None:
     def restart_the_proxy(pod: str) -> None:
         stop = "import os, signal; os.kill(1, signal.SIGTERM)"
         kubectl("exec", pod, "-c", "tasks", "--", "python3", "-c", stop)
 
-    outlives(Cell(kubectl, "Uninitialized"), restart_the_proxy)
+    outlives(Cell(kubectl, "Uninitialized", gate_kind=gate_kind), restart_the_proxy)
 
 
-def test_goals_outlive_two_instances_and_the_proxys_pod_with_a_standby(kubectl: Kubectl) -> None:
-    cell = Cell(kubectl, "Executing", {"action": "/dock", "type": "robots_msgs/action/Dock"})
+def test_goals_outlive_two_instances_and_the_proxys_pod_with_a_standby(kubectl: Kubectl, gate_kind: str) -> None:
+    cell = Cell(kubectl, "Executing", {"action": "/dock", "type": "robots_msgs/action/Dock"}, gate_kind=gate_kind)
 
     def move_the_proxy(pod: str) -> None:
         kubectl("delete", "pod", pod, "--wait=true")
