@@ -5,7 +5,7 @@
 Six robots are driven at once, each recovered in another way: an executing standby, the same with a reflex, a
 restart, a held pod with an application in C, a configured standby, and an application that counts its steps and
 serves goals. Every few seconds something fails: processes, pods, nodes, links, networks, monitors, the operator, the
-API server, discovery servers, gates and labels. The seed decides what, when and to whom. Each robot's own log says
+API server, discovery servers, gates, muxes and labels. The seed decides what, when and to whom. Each robot's own log says
 which commands it received, who sent them, and when. It is compared with the gate's commits, the recorded recoveries and the faults.
 
 The bench needs the local provider, because no other provider can do all that. The clock of a node cannot be changed
@@ -36,6 +36,8 @@ def main() -> int:
                         help=f"kinds of faults: {', '.join(plan.BY_NAME)} (default: all)")  # fmt: skip
     parser.add_argument("--timeout", type=float, default=1.0, metavar="SECONDS",
                         help="time without commands that the policies treat as a failure")  # fmt: skip
+    parser.add_argument("--mux", choices=["none", "half", "all"], default="half",
+                        help="how many of the robots have the gate kind Mux: every second one by default")  # fmt: skip
     parser.add_argument("--machine", default="", metavar="TEXT", help="what else the machine does, for the results")
     options = parser.parse_args()
 

@@ -110,6 +110,8 @@ class Faults:
             "api-slow": self._api_slow,
             "api-flap": self._api_flap,
             "discovery-kill": self._discovery_kill,
+            "mux-kill": self._mux_kill,
+            "mux-freeze": self._mux_freeze,
             "gate-delete": self._gate_delete,
             "gate-edit": self._gate_edit,
             "label-remove": self._label_remove,
@@ -294,6 +296,27 @@ class Faults:
                 os.kill(pid, signal.SIGKILL)
         yield pod.name
 
+    # -- the mux ---------------------------------------------------------------------------------------------------
+
+    def _mux(self, fault: Fault) -> list[int]:
+        robot = self._robot(fault)
+        found = [one for one in self._witness.pods() if one.name.startswith(f"{robot.name}-") and one.node == HOUSE]
+        pids = [pid for one in found for pid in process_ids(one.uid, "mux")] if robot.muxed else []
+        if not pids:
+            raise NotPossible(f"{robot.name} has no mux now")
+        return pids
+
+    @contextlib.contextmanager
+    def _mux_kill(self, fault: Fault) -> Iterator[str]:
+        for pid in self._mux(fault):
+            os.kill(pid, signal.SIGKILL)
+        yield self._robot(fault).name
+
+    @contextlib.contextmanager
+    def _mux_freeze(self, fault: Fault) -> Iterator[str]:
+        with stopping(self._mux(fault)):
+            yield self._robot(fault).name
+
     # -- API server ------------------------------------------------------------------------------------------------
 
     @contextlib.contextmanager
@@ -319,9 +342,13 @@ class Faults:
 
     @contextlib.contextmanager
     def _gate_delete(self, fault: Fault) -> Iterator[str]:
-        workload = self._robot(fault).workload
-        name = names.gate(workload) if fault.chance < 0.6 else names.standby(workload)
-        self._kubectl("delete", "networkpolicy", name, "--wait=false", timeout=20)
+        robot = self._robot(fault)
+        if robot.muxed:
+            kind, name = "lease", names.gate(robot.workload)
+        else:
+            kind = "networkpolicy"
+            name = names.gate(robot.workload) if fault.chance < 0.6 else names.standby(robot.workload)
+        self._kubectl("delete", kind, name, "--wait=false", timeout=20)
         yield name
 
     @contextlib.contextmanager
@@ -329,6 +356,12 @@ class Faults:
         robot = self._robot(fault)
         gate, active = names.gate(robot.workload), self._witness.active(robot.workload)
         others = [pod.name for pod in self._witness.instances(robot.workload) if pod.name != active]
+        if robot.muxed:
+            holder = others[0] if others and fault.chance < 0.7 else None
+            patch = json.dumps({"spec": {"holderIdentity": holder}})
+            self._kubectl("patch", "lease", gate, "--type=merge", "-p", patch, timeout=20)
+            yield f"names {holder or 'nobody'}"
+            return
         if fault.chance < 0.4:
             told, spec = "selects every instance", {"podSelector": {"matchLabels": {names.INSTANCE: None}}}
         elif fault.chance < 0.7 and others:

@@ -40,7 +40,10 @@ def run(kubeconfig: Path, namespace: str, options: argparse.Namespace) -> int:
     """Run the campaign and return the exit status."""
     for number in (signal.SIGINT, signal.SIGTERM):  # whoever ends it: what was broken must be repaired
         signal.signal(number, signal.default_int_handler)
-    faults = plan.plan(options.seed, options.faults, len(options.robots), options.every, options.only)
+    muxed = [
+        index for index in range(len(options.robots)) if options.mux == "all" or (options.mux == "half" and index % 2)
+    ]
+    faults = plan.plan(options.seed, options.faults, len(options.robots), options.every, options.only, muxed)
     # The campaign changes labels, so that it is seen how soon they are restored without the admission policy.
     install(kubeconfig, CHART, "--set", f"admission.labelWriters={{{Cluster(kubeconfig).user}}}")
     kubectl = Kubectl(kubeconfig, namespace)
@@ -49,7 +52,7 @@ def run(kubeconfig: Path, namespace: str, options: argparse.Namespace) -> int:
     folder.mkdir()
     kubectl("create", "namespace", namespace)
     try:
-        robots = start(kubectl, options.robots, options.timeout, folder)
+        robots = start(kubectl, options.robots, options.timeout, folder, muxed)
         with Witness(kubectl, [robot.workload for robot in robots], folder) as witness:
             begun = time.time()
             before = witness.memory()
@@ -69,11 +72,12 @@ def run(kubeconfig: Path, namespace: str, options: argparse.Namespace) -> int:
             kubectl("delete", "persistentvolume", volume, "--wait=false")
     report = summarize(options.seed, injected, judgements, aftermath, settled_within=SETTLE)
     command = (
-        f"--faults {options.faults} --seed {options.seed} --robots {' '.join(options.robots)} --every {options.every:g}"
+        f"--faults {options.faults} --seed {options.seed} --robots {' '.join(options.robots)} --every {options.every:g} "
+        f"--mux {options.mux}"
     )
     only = f" --only {' '.join(options.only)}" if options.only else ""
     report.note("campaign", f"scripts/bench chaos {command} --timeout {options.timeout:g}{only}")
-    report.note("robots", ", ".join(robot.name for robot in robots))
+    report.note("robots", ", ".join(f"{robot.name}{' (Mux)' if robot.muxed else ''}" for robot in robots))
     report.note("network policies", enforcer())
     if options.machine:
         report.note("what else the machine did", options.machine)
@@ -147,6 +151,7 @@ def _judge(
         robot.index,
         robot.timeout,
         REFLEX_DEADLINE if robot.way.reflex else 0.0,
+        robot.muxed,
         commands=[command for command in journal.log.commands if command.received >= begun],
         commits=witness.commits(robot.workload),
         recoveries=[one for one in witness.recoveries(robot.workload) if one.moments.get("detected", 0.0) >= begun],

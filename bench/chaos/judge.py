@@ -72,6 +72,9 @@ LISTENS = 6.0
 API = {"api-stop", "api-slow", "api-flap"}
 """The kinds of faults during which nobody learns of changes."""
 
+UNORDERED = {"monitor-kill", "monitor-freeze", "discovery-kill", "mux-kill", "mux-freeze", *NODE_LOST, *API}
+"""The kinds of faults during which a commit may not reach a mux: the one before stays in force, for one instance."""
+
 LEADS = 5.0
 """Seconds within which a Service leads to a discovery server that is ready. After several outages of the API server in a row, Kubernetes
 may have given up (kube-controller-manager: "Retry budget exceeded, dropping service out of the queue")."""
@@ -160,6 +163,8 @@ class Seen:
     """Seconds without commands that its policy treats as a failure."""
     reflex: float = 0.0
     """Seconds of silence after which its reader takes the standby's commands by itself; 0 if it does not."""
+    muxed: bool = False
+    """Whether a mux forwards one instance at a time to it, so that nothing explains commands of two that take turns."""
     commands: Sequence[Command] = ()
     commits: Sequence[Commit] = ()
     recoveries: Sequence[Recovered] = ()
@@ -228,6 +233,8 @@ class Judgement:
     recoveries: Counter[str] = field(default_factory=Counter)
     caught_up: list[float] = field(default_factory=list)
     """Seconds from the return of a node that was cut off to the last command of a fenced instance on it, if that was soon enough."""
+    unordered: list[float] = field(default_factory=list)
+    """Seconds for which a fenced instance went on alone, because no monitor passed the order on to the mux, or the mux stood still."""
     unlearned: list[float] = field(default_factory=list)
     """Seconds for which a fenced instance went on alone while the API server failed, so that no node learned of the fence."""
     repaired: list[float] = field(default_factory=list)
@@ -283,14 +290,18 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
             leaked.append((begin, end + LEAK_ENDS))
         return bool(behind)
 
-    for begin, back, end, pods in double_drives(seen.commands, seen.commits if seen.reflex else ()):
-        if undone(back, end) or is_late_network(begin, end, *pods):
+    together = seen.commits if seen.reflex and not seen.muxed else ()
+    for begin, back, end, pods in double_drives(seen.commands, together):
+        if not seen.muxed and (undone(back, end) or is_late_network(begin, end, *pods)):
             continue
         found.double_drives.append(end - begin)
         violation("double drive", end, f"{' and '.join(pods)} drove together for {end - begin:.3f} s", begin)
     for group in _runs(uncontrolled(seen.commands, seen.commits, period)):
         first, after = group[0]
         last_of_group = group[-1][0].received
+        if seen.muxed and (late_order := ordered_late(seen, theirs, group)) is not None:
+            found.unordered.append(late_order)
+            continue
         if undone(first.received, last_of_group) or is_late_network(first.received, last_of_group, first.source):
             continue
         outages = [one.waiting for one in injected if one.fault.kind in API]
@@ -378,6 +389,22 @@ def is_unfenceable(seen: Seen, injected: Sequence[Injected], pod: str, at: float
     outages = [one.waiting for one in injected if one.fault.kind in API]
     known = (one.moments.get("detected", math.inf) for one in seen.recoveries if one.old == pod)
     return any(since <= at <= since + covered(outages, since, at) + ENFORCEMENT for since in known)
+
+
+def ordered_late(seen: Seen, injected: Sequence[Injected], group: Sequence[tuple[Command, float]]) -> float | None:
+    """Return for how long the commands of an instance that no commit lets through arrived at a robot with a mux, if that is explained.
+
+    Either nobody passed the order on, because the monitor, what connects it with the mux, or the mux itself stood still. Or the mux
+    switched by itself, and a later commit says so.
+    """
+    first, last = group[0][0], group[-1][0]
+    length = last.received - first.received
+    if any(commit.seen >= first.received and first.source in commit.let_through for commit in seen.commits):
+        return length
+    hindered = [
+        one for one in injected if one.fault.kind in UNORDERED and one.overlaps(first.received - BEFORE, last.received)
+    ]
+    return length if hindered else None
 
 
 def _dated(commits: Sequence[Commit], recoveries: Sequence[Recovered]) -> list[Commit]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 ACTIVE, STANDBY = "active", "standby"
@@ -37,6 +37,8 @@ class Kind:
     """Seconds from its end for which its effects may last."""
     most: float = math.inf
     """Seconds from its beginning after which a recovery must no longer wait for its end, since what it took away is replaced elsewhere."""
+    muxed: bool = False
+    """Whether it needs a robot with the gate kind Mux."""
     weight: float = 1.0
     """How often it happens in comparison with the others."""
 
@@ -64,6 +66,8 @@ KINDS = (
     Kind("api-slow", (4.0, 10.0), "API server", strengths=(60, 80), delays=True, weight=0.5),
     Kind("api-flap", (6.0, 12.0), "API server", delays=True, after=4.0, weight=0.5),
     Kind("discovery-kill"),
+    Kind("mux-kill", delays=True, after=4.0, muxed=True),
+    Kind("mux-freeze", (0.5, 8.0), delays=True, after=4.0, muxed=True),
     Kind("gate-delete", disturbs=True, after=5.0),
     Kind("gate-edit", disturbs=True, after=5.0),
     Kind("label-remove", victims=(ACTIVE, STANDBY), disturbs=True, after=5.0),
@@ -102,13 +106,16 @@ class Fault:
         return f"#{self.number} {self.kind} {self.victim or ''}{strength}{length}".replace(" ,", ",").strip()
 
 
-def plan(seed: int, faults: int, robots: int, every: float, only: Collection[str] = ()) -> list[Fault]:
+def plan(
+    seed: int, faults: int, robots: int, every: float, only: Collection[str] = (), muxed: Sequence[int] = ()
+) -> list[Fault]:
     """Return the faults of a seed, in the order of their times.
 
     Args:
         robots: how many there are.
         every: mean seconds from one fault to the next.
         only: the names of the kinds to use; all if it is empty.
+        muxed: the indices of the robots with the gate kind Mux.
 
     Raises:
         ValueError: there is no kind of such a name.
@@ -116,31 +123,31 @@ def plan(seed: int, faults: int, robots: int, every: float, only: Collection[str
     if unknown := set(only) - set(BY_NAME):
         raise ValueError(f"no such kind of fault: {', '.join(sorted(unknown))}; there are: {', '.join(BY_NAME)}")
     chance = random.Random(seed)
-    kinds = [kind for kind in KINDS if not only or kind.name in only]
+    kinds = [kind for kind in KINDS if (not only or kind.name in only) and (muxed or not kind.muxed)]
     found: list[Fault] = []
     now = 0.0
     while len(found) < faults:
         now += every * chance.uniform(0.4, 1.6)
-        drawn = _draw(chance, kinds, robots, len(found) + 1, now)
+        drawn = _draw(chance, kinds, robots, muxed, len(found) + 1, now)
         free = max((_free(earlier, drawn) for earlier in found), default=0.0)
         if free > now:
             if len(kinds) > 1:  # something else happens at this moment
                 now -= every * 0.3
                 continue
             now = free
-            drawn = _draw(chance, kinds, robots, len(found) + 1, now)
+            drawn = _draw(chance, kinds, robots, muxed, len(found) + 1, now)
         found.append(drawn)
     return found
 
 
-def _draw(chance: random.Random, kinds: list[Kind], robots: int, number: int, at: float) -> Fault:
+def _draw(chance: random.Random, kinds: list[Kind], robots: int, muxed: Sequence[int], number: int, at: float) -> Fault:
     (kind,) = chance.choices(kinds, [kind.weight for kind in kinds])
     return Fault(
         number,
         kind.name,
         at=round(at, 3),
         seconds=round(chance.uniform(*kind.seconds), 3),
-        robot=chance.randrange(robots),
+        robot=chance.choice(muxed if kind.muxed else range(robots)),
         victim=chance.choice(kind.victims),
         strength=chance.choice(kind.strengths),
         chance=chance.random(),

@@ -73,6 +73,8 @@ def summarize(
         report.figure("time from tampering to the last command that it let through", repaired, unit="s")
     if caught_up := [seconds for judgement in judgements for seconds in judgement.caught_up]:
         report.figure("time from a node's return to the last command of a fenced instance on it", caught_up, unit="s")
+    if unordered := [seconds for judgement in judgements for seconds in judgement.unordered]:
+        report.figure("time of a fenced instance alone before the order reached the mux", unordered, unit="s")
     if unlearned := [seconds for judgement in judgements for seconds in judgement.unlearned]:
         report.figure("time of a fenced instance alone while the API server failed", unlearned, unit="s")
     if one_sided := [seconds for judgement in judgements for seconds in judgement.one_sided]:

@@ -7,7 +7,7 @@ import copy
 import json
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -54,9 +54,9 @@ class Journal:
 class CampaignRobot(Robot):
     """A robot of the campaign."""
 
-    def __init__(self, kubectl: Kubectl, index: int, way: Way, timeout: float) -> None:
-        self.index, self.way, self.timeout = index, way, timeout
-        super().__init__(kubectl, f"{self.way.name}-{index + 1}")
+    def __init__(self, kubectl: Kubectl, index: int, way: Way, timeout: float, *, muxed: bool = False) -> None:
+        self.index, self.way, self.timeout, self.muxed = index, way, timeout, muxed
+        super().__init__(kubectl, f"{self.way.name}-{index + 1}", gate_kind="Mux" if muxed else "NetworkPolicy")
 
     @property
     def application(self) -> str:
@@ -204,14 +204,21 @@ def compiled(program: str, folder: Path) -> bytes:
     return (folder / program).read_bytes()
 
 
-def start(kubectl: Kubectl, ways: Sequence[str], timeout: float, folder: Path) -> Sequence[CampaignRobot]:
-    """Create a robot for each of these ways, and wait until all are protected. The workers' kept state is in the folder."""
+def start(
+    kubectl: Kubectl, ways: Sequence[str], timeout: float, folder: Path, muxed: Collection[int]
+) -> Sequence[CampaignRobot]:
+    """Create a robot for each of these ways, and wait until all are protected. The workers' kept state is in the folder.
+
+    ``muxed`` are the indices of those with gate kind Mux.
+    """
     programs: Object = {"apiVersion": "v1", "kind": "ConfigMap", "metadata": {"name": "nodes"}}
     programs["data"] = {"worker.py": (_FOLDER / "worker.py").read_text()}
     if any(BY_NAME[way].application == "driver" for way in ways):
         programs["binaryData"] = {"driver": base64.b64encode(compiled("driver", folder)).decode()}
     kubectl.apply([programs])
-    robots = [CampaignRobot(kubectl, index, BY_NAME[way], timeout) for index, way in enumerate(ways)]
+    robots = [
+        CampaignRobot(kubectl, index, BY_NAME[way], timeout, muxed=index in muxed) for index, way in enumerate(ways)
+    ]
     for robot in robots:
         if robot.way.worker:
             kubectl.apply(shared_claim(kubectl, f"{robot.name}-{KEPT}", folder / f"{robot.name}-{KEPT}"))

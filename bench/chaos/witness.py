@@ -117,7 +117,12 @@ class Witness:
 
     def __enter__(self) -> Witness:
         self._look()
-        for work in (self._follow_gates, self._poll, self._follow_logs):
+        for work in (
+            lambda: self._follow_gates("networking.k8s.io/v1", "NetworkPolicy"),
+            lambda: self._follow_gates("coordination.k8s.io/v1", "Lease"),
+            self._poll,
+            self._follow_logs,
+        ):
             threading.Thread(target=work, daemon=True).start()
         return self
 
@@ -304,12 +309,12 @@ class Witness:
         if found.get(names.COMPONENT) == "monitor" and kube_objects.evicted(item):
             self._evicted.setdefault(metadata["uid"], (found.get(names.MONITORED, ""), now))
 
-    def _follow_gates(self) -> None:
+    def _follow_gates(self, version: str, kind: str) -> None:
         cluster, lost = Cluster(self._kubectl.kubeconfig), 0.0
         while not self._ended.is_set():
             known: set[str] = set()
             with contextlib.suppress(*UNREACHABLE):
-                for type_, item in cluster.watch("networking.k8s.io/v1", "NetworkPolicy", self._kubectl.namespace):
+                for type_, item in cluster.watch(version, kind, self._kubectl.namespace):
                     name = item["metadata"]["name"]
                     if name in self._commits and type_ != "DELETED":
                         # What is there when the watch begins may be as old as the end of the watch before.

@@ -567,3 +567,25 @@ def test_every_shared_kind_affects_every_robot() -> None:
         commands, recoveries = log(drive("a", 1, 10.55), drive("b", 10.62, 20)), [recovery(10.5, 10.6)]
         found = judged(commands, fault(kind.name, 9.5, 10.4, robot=5), recoveries=recoveries)
         assert (whats(found) == []) == bool(kind.shared and kind.disturbs)
+
+
+def test_commands_of_two_instances_that_take_turns_behind_a_mux_are_explained_by_nothing() -> None:
+    commands = log(drive("a", 1, 10), drive("b", 10.6, 50), drive("a", 30.01, 32.0))
+    faults = [replace(fault("node-cut", 10.02, 30.0), told="n3")]
+    more: Any = {"recoveries": [recovery(10.5, 10.6)], "nodes": {"a": "n3", "b": "n2"}}
+    assert "double drive" in whats(judged(commands, *faults, muxed=True, **more))
+    assert whats(judged(commands, *faults, **more)) == []
+
+
+@pytest.mark.parametrize(("kind", "expected"), [("monitor-freeze", []), ("packet-loss", ["fenced instance"])])
+def test_a_fenced_instance_drives_alone_behind_a_mux_until_the_order_arrives(kind: str, expected: list[str]) -> None:
+    commands = log(drive("a", 1, 14), drive("b", 14.06, 20))
+    found = judged(commands, fault(kind, 10.5, 13.0), muxed=True)
+    assert whats(found) == expected
+    assert bool(found.unordered) is not bool(expected)
+
+
+def test_a_switch_of_the_mux_s_own_is_explained_by_the_commit_after_it() -> None:
+    commands = log(drive("a", 1, 10), drive("b", 10.3, 20))
+    commits = [Commit(0.0, 1, ("a",)), Commit(15.0, 2, ("b",))]
+    assert whats(judged(commands, fault("api-stop", 9.9, 14.5), commits=commits, muxed=True)) == []

@@ -16,11 +16,13 @@ def test_a_seed_decides_all() -> None:
 
 
 def test_faults_come_in_order_as_often_as_asked_and_reach_every_robot_and_kind() -> None:
-    found = plan(1, 600, 6, 3.0)
+    found = plan(1, 600, 6, 3.0, muxed=[1, 3, 5])
     times = [fault.at for fault in found]
     assert times == sorted(times)
     assert times[-1] / len(times) == pytest.approx(3.0, rel=0.25)
     assert {fault.kind for fault in found} == set(BY_NAME)
+    assert {fault.robot for fault in found if BY_NAME[fault.kind].muxed} == {1, 3, 5}
+    assert not any(BY_NAME[fault.kind].muxed for fault in plan(1, 100, 6, 3.0))
     assert {fault.robot for fault in found} == set(range(6))
     assert [fault.number for fault in found] == list(range(1, 601))
 
