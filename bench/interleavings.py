@@ -6,9 +6,9 @@ deaths.
 
 Each run executes the real code of monitors and operator over a modelled API server, network and cluster, in virtual
 time (tests/unit/interleavings). The seed determines everything in a run. For every three runs there is one more with
-a reflex, in which the robots' readers are modelled too, and one more with tasks, in which clients send goals to action
-proxies; their seeds start at 1,000,000 and 2,000,000. With --seed only that run is made, and everything that happened
-is printed.
+a reflex, in which the robots' readers are modelled too, one more with tasks, in which clients send goals to action
+proxies, and one more with a mux at each robot; their seeds start at 1,000,000, 2,000,000 and 3,000,000. With --seed only
+that run is made, and everything that happened is printed.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 
 from bench.results import Report
-from tests.unit.interleavings import reflexes, simulation, tasks
+from tests.unit.interleavings import muxes, reflexes, simulation, tasks
 from tests.unit.interleavings.scenes import Outcome
 
 CHUNK = 100
@@ -33,7 +33,10 @@ SHOWN = 10
 """Number of failed runs that are listed."""
 
 SHARE = 3
-"""Number of runs without a reflex and without tasks per run with one of them."""
+"""Number of runs without a reflex, tasks and a mux per run with one of them."""
+
+KINDS = {"reflex": reflexes, "tasks": tasks, "mux": muxes}
+"""The modules of the runs that have their own seeds, in the order of these."""
 
 UNANSWERED = ("lost", "unanswered", "unheard", "late", "gateway")
 """The fates of requests after which the sender does not know whether they were carried out."""
@@ -49,17 +52,17 @@ class Chunk:
     counts: Counter[str] = field(default_factory=Counter)
     processor: float = 0.0
     kind: str = ""
-    """``reflex`` or ``tasks``; empty for runs without them."""
+    """``reflex``, ``tasks`` or ``mux``; empty for runs without them."""
 
 
 def kind(seed: int) -> str:
     """Return the kind of a seed's run."""
-    return "tasks" if seed >= tasks.FIRST else "reflex" if seed >= reflexes.FIRST else ""
+    return next((name for name, of in reversed(KINDS.items()) if seed >= of.FIRST), "")
 
 
 def run(seed: int, *, tracing: bool = False) -> Outcome:
     """Make the run of a seed."""
-    return {"": simulation.run, "reflex": reflexes.run, "tasks": tasks.run}[kind(seed)](seed, tracing=tracing)
+    return (KINDS[kind(seed)] if kind(seed) else simulation).run(seed, tracing=tracing)
 
 
 def chunk(seeds: range) -> Chunk:
@@ -70,6 +73,7 @@ def chunk(seeds: range) -> Chunk:
         if outcome.faults:
             found.faults[seed] = outcome.faults[0]
         found.counts += Counter(outcome.requests) + Counter(outcome.reflex) + Counter(outcome.tasks)
+        found.counts += Counter(outcome.muxes)
         found.counts += Counter(
             steps=outcome.steps,
             claims=outcome.claims,
@@ -84,7 +88,7 @@ def chunk(seeds: range) -> Chunk:
 def told(chunks: Sequence[Chunk]) -> Report:
     """Return the report on all runs."""
     report = Report("interleavings")
-    reflexive, tasked = ([c for c in chunks if c.kind == kind] for kind in ("reflex", "tasks"))
+    reflexive, tasked, muxed = ([c for c in chunks if c.kind == kind] for kind in KINDS)
 
     def counted(name: str, *outcomes: str, unit: str, of: Sequence[Chunk] = chunks) -> None:
         report.figure(name, [sum(c.counts[o] for o in outcomes) / c.runs for c in of], unit=unit)
@@ -108,9 +112,16 @@ def told(chunks: Sequence[Chunk]) -> Report:
         counted("goals of clients", "sent", unit="per run with tasks", of=tasked)
         counted("goals that ended", "ended", unit="per run with tasks", of=tasked)
         counted("goals that another instance took over", "resumed", unit="per run with tasks", of=tasked)
+    if muxed:
+        counted("commands that muxes forwarded", "forwarded", unit="per run with a mux", of=muxed)
+        counted("orders of a new epoch that muxes carried out", "ordered", unit="per run with a mux", of=muxed)
+        counted("switches of muxes", "switched", unit="per run with a mux", of=muxed)
+        counted("switches that monitors committed", "switches committed", unit="per run with a mux", of=muxed)
+        counted("journals that muxes lost", "journals lost", unit="per run with a mux", of=muxed)
     runs, steps = sum(c.runs for c in chunks), sum(c.counts["steps"] for c in chunks)
     of_each = ", ".join(
-        f"{sum(c.runs for c in of)} with {name}" for name, of in (("a reflex", reflexive), ("tasks", tasked))
+        f"{sum(c.runs for c in of)} with {name}"
+        for name, of in (("a reflex", reflexive), ("tasks", tasked), ("a mux", muxed))
     )
     return report.note(
         "runs", f"{runs}, {of_each}, of {steps} steps together; a value of each figure is of {CHUNK} runs"
@@ -120,7 +131,7 @@ def told(chunks: Sequence[Chunk]) -> Report:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
-        "runs", type=int, nargs="?", default=10_000, help="number of runs without a reflex and without tasks"
+        "runs", type=int, nargs="?", default=10_000, help="number of runs without a reflex, tasks and a mux"
     )
     parser.add_argument("--first", type=int, default=0, metavar="SEED", help="the seed of the first run")
     parser.add_argument("--processes", type=int, default=os.cpu_count(), metavar="N")
@@ -130,7 +141,7 @@ def main() -> None:
         outcome = run(options.seed, tracing=True)
         print(outcome)
         sys.exit(1 if outcome.faults else 0)
-    of_others = (kind.FIRST + options.first // SHARE for kind in (reflexes, tasks))
+    of_others = (kind.FIRST + options.first // SHARE for kind in KINDS.values())
     ranges = [
         range(first, min(end, first + CHUNK))
         for begin, end in (

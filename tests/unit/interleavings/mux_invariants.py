@@ -82,9 +82,12 @@ class MuxInvariants(Invariants):
         """By workload and epoch, the instances that the gate named: several only if somebody deleted it."""
         self._knew: dict[str, dict[int, Token]] = defaultdict(dict)
         """By workload and epoch, the newest token that the monitor knew when it committed this."""
-        self._unrecorded: dict[str, dict[str, float]] = defaultdict(dict)
-        """By workload, the instances to which a mux has switched, and when a monitor's commit of that was carried out."""
-        self._recorded_to: dict[str, set[str]] = defaultdict(set)
+        self._writers: dict[str, dict[int, str]] = defaultdict(dict)
+        """By workload and epoch, who committed this."""
+        self._unrecorded: dict[str, dict[tuple[str, str], str]] = defaultdict(dict)
+        """By workload, the instances between which a mux has switched, and who committed that."""
+        self._recorded: dict[str, set[str]] = defaultdict(set)
+        """By workload, the instances that its recoveries name."""
         self._wrong_since: dict[tuple[str, str], float] = {}
         self.counts: Counter[str] = Counter()
         for workload, gate in gates.everyone(self._server):
@@ -104,11 +107,11 @@ class MuxInvariants(Invariants):
             before = GateRecord.of(old) if old is not None else None
             if before is None or (before.epoch, before.active_uid) != (record.epoch, record.active_uid):
                 self._note(workload, record)
-                self._knew[workload][record.epoch] = self._known(by)
+                self._knew[workload][record.epoch], self._writers[workload][record.epoch] = self._known(by), by
         elif plural == "robotworkloads" and new is not None:
             for recovery in (new.get("status") or {}).get("recoveries") or []:
                 pods = {recovery.get("toPod", ""), *(one.get("pod", "") for one in recovery.get("attempts") or [])}
-                self._recorded_to[new["metadata"]["name"]] |= pods
+                self._recorded[new["metadata"]["name"]] |= {*pods, f"from {recovery.get('fromPod', '')}"}
 
     def _note(self, workload: str, record: GateRecord) -> None:
         self._names[workload][record.epoch].add(record.active)
@@ -170,7 +173,7 @@ class MuxInvariants(Invariants):
             )
         if after.source == before.source:
             self.counts["switches committed"] += 1
-            self._unrecorded[workload][after.source] = self._now
+            self._unrecorded[workload][before.ordered, after.source] = self._writers[workload].get(epoch, "")
 
     def _switched(self, mux: Mux, before: Control, after: Control) -> None:
         self.counts["switched"] += 1
@@ -269,9 +272,15 @@ class MuxInvariants(Invariants):
                 )
 
     def _missing(self) -> Iterator[str]:
-        for workload, pods in sorted(self._unrecorded.items()):
-            for pod in sorted(pods.keys() - self._recorded_to[workload]):
-                yield f"the switch of the mux of {workload} to {pod} was committed, and no recovery is recorded"
+        for workload, switches in sorted(self._unrecorded.items()):
+            for former, pod in sorted(switches):
+                if not {pod, f"from {former}"} & self._recorded[workload]:
+                    yield f"the switch of the mux of {workload} to {pod} was committed, and no recovery is recorded"
+
+    def killed(self, monitor: str, workload: str) -> None:
+        """A monitor was killed while another one of its workload ran: that one does not ask what it had not recorded."""
+        switches = self._unrecorded[workload]
+        self._unrecorded[workload] = {pods: by for pods, by in switches.items() if by != monitor}
 
 
 def _order(text: str) -> dict[str, Any]:

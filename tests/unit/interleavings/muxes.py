@@ -141,7 +141,10 @@ class Muxed(Simulation):
 
     def kill(self, process: Process) -> None:
         self._known("")
+        workload = next((one.workload for one in self.monitors if one.process is process), "")
         super().kill(process)
+        if any(one.workload == workload for one in self.monitors):
+            self.mux_invariants.killed(process.name, workload)
 
     def patches(self) -> Iterator[tuple[Any, str, Any]]:
         yield from super().patches()

@@ -11,6 +11,7 @@ import pytest
 from understudy.api.protocol.mux_messages import Order, Report, Token
 from understudy.clock import CLOCK
 from understudy.kube.gates import mux_reports
+from understudy.kube.gates.base import OwnSwitch
 from understudy.kube.gates.mux_reports import MuxReports
 
 ORDER = Order(1000.0, 5, "w-1")
@@ -154,3 +155,20 @@ def test_what_is_forwarded_has_times_of_this_process(reports: MuxReports) -> Non
     assert found.forwarding_since == pytest.approx(found.at - 0.2)
     assert reports.heard() == {"/cmd_vel": pytest.approx(found.at - 0.05)}
     assert reports.forwarded("w-2") is None
+
+
+def test_an_instance_to_which_the_mux_switched_and_that_does_not_send_is_idle_after_a_while(
+    reports: MuxReports, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = CLOCK.now()
+    monkeypatch.setattr(CLOCK, "now", lambda: now)
+    silent = replace(REPORT, token=Token(1000.0, 5, 1), source="w-2", forwarded=0, since=math.inf)
+    reports.add(silent)
+    assert reports.own_switch("w-1") == OwnSwitch("w-2", is_idle=False)
+    assert reports.switched("w-1") is None
+    now += mux_reports.SILENT
+    reports.add(silent)
+    assert reports.own_switch("w-1") == OwnSwitch("w-2", is_idle=True)
+    reports.add(replace(silent, forwarded=1, since=0.0))
+    assert reports.own_switch("w-1") == OwnSwitch("w-2", is_idle=False)
+    assert reports.own_switch("w-2") is None

@@ -90,6 +90,16 @@ Report = tuple[Literal["True", "False", "Unknown"], str, str]
 """Status, reason and message of a condition."""
 
 
+@dataclass(frozen=True)
+class OwnSwitch:
+    """A switch that somebody at the gate has made by itself."""
+
+    to: str
+    """The name of the instance that is let through since."""
+    is_idle: bool
+    """Whether nothing of that instance was let through for a while."""
+
+
 class Proof(Protocol):
     """Evidence of whose packets pass the gate, observed at its far side and not read from the API."""
 
@@ -135,6 +145,10 @@ class Proof(Protocol):
         That one is older, or was used before: somebody deleted the gate object.
         """
         return 0
+
+    def own_switch(self, active: str) -> OwnSwitch | None:
+        """Return the switch to another instance than the active one that somebody at the gate has made by itself; None if there is none."""
+        return None
 
     def switched(self, active: str) -> tuple[str, float, float] | None:
         """Return whom somebody at the gate has put in control instead of the active instance, when that was last heard, and when the other

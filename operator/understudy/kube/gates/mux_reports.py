@@ -54,6 +54,8 @@ class MuxReports:
         self._nonces: OrderedDict[str, int] = OrderedDict()
         """Those of the recent orders, with the epoch of each."""
         self._acknowledged: dict[str, float] = {}
+        self._idle_since: float | None = None
+        """Since when the mux has reported that it forwarded nothing of the instance to which it had switched by itself."""
         self._changed = asyncio.Event()
         self._began = time.monotonic()
 
@@ -71,6 +73,8 @@ class MuxReports:
         if report.nonce not in self._nonces:
             return
         self.latest = Received(report, CLOCK.now())
+        is_idle = bool(report.token.count) and not report.forwarded
+        self._idle_since = (self._idle_since or self.latest.at) if is_idle else None
         if (uid := self._driver()) is not None:
             self._acknowledged[uid] = self.latest.at
         self._changed.set()
@@ -167,16 +171,25 @@ class MuxReports:
         is_newer = report.token.epoch > epoch and report.token.workload_created == order.workload_created
         return report.token.epoch if report.refused and order.epoch == epoch and (was_used or is_newer) else 0
 
+    def own_switch(self, active: str) -> base.OwnSwitch | None:
+        """Return the switch of the mux's own to another instance than the active one; None if there is none."""
+        found = self.latest
+        if found is None or self.is_silent or self._ordered is None:
+            return None
+        report = found.report
+        is_answer = report.token.epoch == self._ordered[1].epoch or bool(report.refused)
+        if not report.token.count or report.source == active or not is_answer:
+            return None
+        is_idle = self._idle_since is not None and found.at - self._idle_since >= SILENT
+        return base.OwnSwitch(report.source, is_idle)
+
     def switched(self, active: str) -> tuple[str, float, float] | None:
         """Return whom the mux forwards by its standing order, when it last heard the active instance, and when it first forwarded the
         other one."""
         found = self.latest
-        if found is None or self._ordered is None:
+        if found is None or self.own_switch(active) is None or not found.report.forwarded:
             return None
         report = found.report
-        is_answer = report.token.epoch == self._ordered[1].epoch or bool(report.refused)
-        if not report.token.count or report.source == active or not report.forwarded or not is_answer:
-            return None
         ages, first = report.heard.get(active, {}).values(), found.forwarding_since
         last = found.at - min(ages, default=found.at - first)
         return report.source, CLOCK.to_system(last), CLOCK.to_system(first)

@@ -94,7 +94,7 @@ class ActStage:
         await self._cluster.gate.restore_routing()
 
     def raise_epoch(self) -> None:
-        """Have the orders carried out at the robot again, if somebody deleted the gate. Returns at once."""
+        """Have what the gate says carried out at the robot again, if it is not. Returns at once."""
         if self._raising is None or self._raising.done():
             self._raising = asyncio.create_task(self._cluster.gate.raise_epoch())
 

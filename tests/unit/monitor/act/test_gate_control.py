@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import copy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +24,10 @@ from understudy.failover.interfaces import GateState, Instance, NoLongerNeeded, 
 from understudy.failover.pool_queue import Waiter
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import NETWORK_POLICIES, WORKLOADS, ApiError, Object
-from understudy.kube.gates.base import GateRecord, Reach
+from understudy.kube.gates.base import GateRecord, OwnSwitch, Reach
 from understudy.kube.gates.kinds.network_policy import GATE
 from understudy.monitor.act.objects import gate_control
+from understudy.monitor.act.objects.pod_control import PodControl
 from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.wakeups import Wakeups
 
@@ -507,3 +509,23 @@ async def test_the_epoch_of_a_gate_that_somebody_deleted_is_raised_over_that_whi
     await gate.raise_epoch()
     await gate.raise_epoch()
     assert (gate.state.active, gate.state.epoch) == (FAILED.name, 10)
+
+
+@pytest.mark.parametrize(
+    ("switch", "raised"),
+    [(OwnSwitch("w-2", False), False), (OwnSwitch("w-2", True), True), (OwnSwitch("w-9", False), True), (None, False)],
+    ids=["it may drive", "nothing of it is let through", "it is gone", "there is none"],
+)
+async def test_the_gate_is_of_a_new_epoch_if_the_mux_has_switched_in_vain(
+    client: MemoryClient,
+    found: ClusterView,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    switch: OwnSwitch | None,
+    raised: bool,
+) -> None:
+    gate = await open_gate(client, found, tmp_path, FAILED)
+    monkeypatch.setattr(PodControl, "of_workload", lambda self: [FAILED, replace(STANDBY, running=True)])
+    monkeypatch.setattr(Packets, "own_switch", lambda self, active: switch, raising=False)
+    await gate.raise_epoch()
+    assert (gate.state.active, gate.state.epoch) == (FAILED.name, 5 if raised else 4)

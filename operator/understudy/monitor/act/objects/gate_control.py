@@ -18,7 +18,7 @@ from understudy.failover.interfaces import GateState, Instance, NoLongerNeeded, 
 from understudy.failover.pinned import PinnedPod
 from understudy.failover.progress import Progress, beside
 from understudy.kube.client import FAILURES, NO_ANSWER, ApiError, Client, Object
-from understudy.kube.gates.base import GateRecord, Proof
+from understudy.kube.gates.base import GateRecord, OwnSwitch, Proof
 from understudy.kube.repeated_requests import RETRY_FIRST, RETRY_MOST, TRY_WITHIN, answered
 from understudy.monitor.act.objects.pod_control import PodControl
 from understudy.monitor.crash_points import CrashPoints
@@ -349,22 +349,36 @@ class GateControl:
         return True
 
     async def raise_epoch(self) -> None:
-        """Give the gate a greater epoch if an older gate had come further, which somebody deleted, and orders are refused for that.
+        """Give the gate a greater epoch if what it says is not carried out at the robot, and a new order would be.
 
-        Whom the gate names does not change. A failed write is repeated by a later call.
+        That is so if an older gate, which somebody deleted, had come further; and if somebody at the robot has switched by itself to an
+        instance that is gone, or of which nothing was let through: it returns to a replaced instance only by an order that knows the
+        switch. Whom the gate names does not change. A failed write is repeated by a later call.
         """
         record = self.record
-        if record is None or not (carried_out := self._probes.carried_out(record.epoch)):
+        if record is None:
             return
+        epoch, switch = self._probes.carried_out(record.epoch), self._probes.own_switch(record.active)
+        if switch is not None and record.active and self._is_in_vain(switch):
+            reason = f"{switch.to}, to which the mux at the robot had switched by itself, does not drive"
+        elif epoch:
+            reason = f"epoch {epoch} had been carried out at the robot, and the gate was of epoch {record.epoch}: somebody had deleted it"
+        else:
+            return
+        self._probes.deciding()
+        epoch = max(epoch, record.epoch) + 1
         try:
-            await self._write_once(self._kind.raising(over=record, epoch=carried_out + 1))
+            await self._write_once(self._kind.raising(over=record, epoch=epoch))
         except FAILURES as error:
             _logger.warning("could not raise the epoch of the gate: %r", error)
             return
-        self._notices.set(gate=GateStatus(epoch=self.state.epoch, active=self.state.active))
-        self._report_restored(
-            f"epoch {carried_out} had been carried out at the robot, and the gate was of epoch {record.epoch}: somebody had deleted it"
-        )
+        self._probes.committed(epoch)
+        self._notices.set(gate=GateStatus(epoch=epoch, active=record.active))
+        self._report_restored(reason)
+
+    def _is_in_vain(self, switch: OwnSwitch) -> bool:
+        """Whether the instance to which somebody at the gate has switched cannot be put in control."""
+        return switch.is_idle or not any(one.name == switch.to and one.usable for one in self._fleet.of_workload())
 
     def _report_restored(self, words: str) -> None:
         _logger.warning("restored the gate: %s", words)
