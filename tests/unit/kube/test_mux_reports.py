@@ -172,3 +172,12 @@ def test_an_instance_to_which_the_mux_switched_and_that_does_not_send_is_idle_af
     reports.add(replace(silent, forwarded=1, since=0.0))
     assert reports.own_switch("w-1") == OwnSwitch("w-2", is_idle=False)
     assert reports.own_switch("w-2") is None
+
+
+def test_the_instance_on_board_is_no_switch_that_anybody_commits(reports: MuxReports) -> None:
+    reports.add(replace(REPORT, token=Token(1000.0, 5, 1), source="home", on_board=True))
+    assert reports.own_switch("w-1") is None
+    assert reports.switched("w-1") is None
+    assert reports.driven_on_board(5) is not None
+    assert reports.driven_on_board(6) is None
+    assert reports.reported("w-1")[:2] == ("False", "OnBoard")

@@ -172,13 +172,16 @@ class MuxReports:
         return report.token.epoch if report.refused and order.epoch == epoch and (was_used or is_newer) else 0
 
     def own_switch(self, active: str) -> base.OwnSwitch | None:
-        """Return the switch of the mux's own to another instance than the active one; None if there is none."""
+        """Return the switch of the mux's own to another instance than the active one; None if there is none.
+
+        The instance on board only stands in, and control returns from it without a commit.
+        """
         found = self.latest
         if found is None or self.is_silent or self._ordered is None:
             return None
         report = found.report
         is_answer = report.token.epoch == self._ordered[1].epoch or bool(report.refused)
-        if not report.token.count or report.source == active or not is_answer:
+        if not report.token.count or report.source == active or report.on_board or not is_answer:
             return None
         is_idle = self._idle_since is not None and found.at - self._idle_since >= SILENT
         return base.OwnSwitch(report.source, is_idle)

@@ -415,6 +415,9 @@ class ProbeReceiver:
         """Return 0: nodes enforce the gate object, of whatever epoch it is."""
         return 0
 
+    def own_switch(self, active: str) -> None:
+        """Return None, as :meth:`switched`."""
+
     def switched(self, active: str) -> None:
         """Return None: nobody switches at the far side of the gate but the robot's own readers."""
 
