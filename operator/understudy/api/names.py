@@ -219,6 +219,9 @@ NAMESPACE_VARIABLE = "UNDERSTUDY_NAMESPACE"
 OUTPUTS_VARIABLE = "UNDERSTUDY_OUTPUTS"
 """Environment variable of a mux with the outputs of its workload, as in the spec, in JSON."""
 
+ALLOWED_NODES_VARIABLE = "UNDERSTUDY_ALLOWED_NODES"
+"""Environment variable of a mux with the nodes that may write outputs beside it, in JSON."""
+
 FENCED_VARIABLE = "UNDERSTUDY_FENCED_CONTAINERS"
 UNFENCED_VARIABLE = "UNDERSTUDY_UNFENCED_CONTAINERS"
 """Environment variables with the containers that the agent can hold while the pod is cut off, and those that it cannot hold."""

@@ -183,6 +183,22 @@ class GatePeer(Model):
     """Labels of the pods. Absent or empty: all pods of these namespaces."""
 
 
+class MuxSettings(Model):
+    """Settings of the mux."""
+
+    allowed_nodes: list[RosName] = Field(default_factory=list, max_length=16)
+    """Nodes that may command the robot beside the mux, such as one for teleoperation, by their full names (/joy_teleop).
+    The mux does not report them as writers that bypass it, and nothing keeps them from the robot while an instance
+    commands it too. Restart the mux after a change."""
+
+
+@with_rules(
+    (
+        "!has(self.mux) || (has(self.kind) && self.kind == 'Mux')",
+        "mux is allowed only with kind Mux",
+        ".mux",
+    ),
+)
 class Gate(Model):
     """The gate, which decides which instance can reach the robot."""
 
@@ -202,6 +218,8 @@ class Gate(Model):
     """Reflex: if the active instance falls silent, a standby of an Executing pool takes over before the monitor acts. With
     kind NetworkPolicy, the gate is also open for that standby, and by DDS exclusive ownership the robot's own DataReaders
     switch to it. With kind Mux, the mux switches. Absent: only the monitor switches. See docs/reflex.md."""
+    mux: MuxSettings | None = None
+    """Settings of the mux. Only with kind Mux."""
 
     @property
     def is_at_robot(self) -> bool:

@@ -184,7 +184,8 @@ class MuxReports:
                 "False",
                 "BesideTheMux",
                 f"These writers reach the robot beside the mux: {'; '.join(report.strangers)}. A process of an instance without the DDS "
-                "profile of its pod does that, and so does a tool.",
+                "profile of its pod does that, and so does a tool. Name a node that may do it, such as one for teleoperation, in "
+                "spec.gate.mux.allowedNodes.",
             )
         who = f"forwards {active} and nobody else" if active else "forwards nobody"
         return "True", "ReportedByMux", f"The mux at the robot reports that it {who}."
