@@ -50,6 +50,18 @@ def test_fence_closes_the_gate_and_pauses_recovery(stand: FakeKubectl, capsys: p
     assert "robotworkloads" in written[0], "a monitor that knows of no pause would open it again"
 
 
+def test_fence_of_a_robot_with_a_mux_says_when_it_has_an_effect(
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str]
+) -> None:
+    item = fleet.muxed()
+    stand.tell(fleet.around(item))
+    assert fence.main([ROBOT, *REASON, "--yes"]) == 0
+    assert registry.of(item).let_through(stand.item(GATE)) == ()
+    output = capsys.readouterr().out
+    assert output.startswith(f"fleet/{ROBOT}: gate closed at epoch 42 (fenced: {ROBOT}-x8v2m).")
+    assert "stop the mux" in output
+
+
 def test_a_closed_gate_is_written_too_so_that_commits_under_way_are_refused(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str]
 ) -> None:
