@@ -57,15 +57,15 @@ def main(argv: list[str]) -> int:
         namespace, workload = os.environ[names.NAMESPACE_VARIABLE], os.environ[names.WORKLOAD_VARIABLE]
         outputs = TypeAdapter(list[Output]).validate_json(os.environ[names.OUTPUTS_VARIABLE])
         allowed = TypeAdapter(list[str]).validate_json(os.environ.get(names.ALLOWED_NODES_VARIABLE, "[]"))
-        token = Path(os.environ.get("UNDERSTUDY_TOKEN_FILE", names.MUX_TOKEN_FILE)).read_bytes()
+        token = Path(os.environ.get(names.MUX_TOKEN_VARIABLE, names.MUX_TOKEN_FILE)).read_bytes()
     except (KeyError, ValueError, OSError) as error:
         print(
             "understudy mux: it needs the environment of ConfigMap WORKLOAD-mux, and the token of Secret WORKLOAD-mux in the file "
-            f"{names.MUX_TOKEN_FILE}, or in that of UNDERSTUDY_TOKEN_FILE: {error!r}",
+            f"{names.MUX_TOKEN_FILE}, or in that of {names.MUX_TOKEN_VARIABLE}: {error!r}",
             file=sys.stderr,
         )
         return 2
-    state = Path(os.environ.get("UNDERSTUDY_STATE", STATE))
+    state = Path(os.environ.get(names.MUX_STATE_VARIABLE, STATE))
     state.mkdir(parents=True, exist_ok=True)
     cpu_scheduling.ask_for_short_slices()
     asyncio.run(_run(namespace, workload, outputs, allowed, token, state))
@@ -168,7 +168,7 @@ async def _follow(
     """
     from understudy.ros.observe.writer_instances import WriterInstances
 
-    found = WriterInstances(os.environ.get("UNDERSTUDY_ADDRESS", ""))
+    found = WriterInstances(os.environ.get(names.ADDRESS_VARIABLE, ""))
     forwarder.instances = found.names
     counts: list[tuple[int, int]] = []
     since: dict[bytes, float] = {}

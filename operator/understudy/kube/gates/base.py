@@ -155,8 +155,8 @@ class GateKind(ABC):
     """The resource of the gate object. The operator watches the objects of this resource that it has created."""
     page: ClassVar[str]
     """The page of the docs about what the kind needs."""
-    is_enforced_by_network: ClassVar[bool] = True
-    """Whether packets between pods show if gates of this kind hold."""
+    is_at_robot: ClassVar[bool] = False
+    """As ``Gate.is_at_robot``: a mux forwards the outputs, so the network need not enforce anything."""
     fence_hint: ClassVar[str] = ""
     """A sentence: what whoever closes a gate by hand must know, besides that it is closed; empty if nothing."""
 

@@ -23,7 +23,7 @@ class MuxGate(GateKind):
     object_kind = "Lease"
     resource = LEASES
     page = "docs/mux.md"
-    is_enforced_by_network = False
+    is_at_robot = True
     fence_hint = (
         "The monitor passes this on to the mux at the robot, which forwards as before until then. To stop the robot without the monitor, "
         "stop the mux."
