@@ -12,6 +12,7 @@ from understudy.cli.manifests.check_findings import Finding
 from understudy.cli.manifests.manifest_reader import Manifest, at, items
 from understudy.kube.gates import registry
 from understudy.kube.gates.base import GateKind
+from understudy.ros.rmw import MIDDLEWARE
 
 _TEMPLATES = ("Deployment", "StatefulSet", "DaemonSet", "ReplicaSet")
 _HOSTNAME = "kubernetes.io/hostname"
@@ -38,6 +39,7 @@ def check(ours: Sequence[Manifest], others: Sequence[Manifest]) -> Iterator[Find
             yield workload.finding("spec.gate.kind", message, warning=True)
         yield from _without_effect(workload)
         yield from _on_one_node(workload, ours)
+        yield from _beside(workload, ours)
 
 
 def _gate(workload: Manifest) -> GateKind:
@@ -94,18 +96,31 @@ def _on_one_node(workload: Manifest, ours: Sequence[Manifest]) -> Iterator[Findi
     named = at(pod, "nodeName") or (selector.get(_HOSTNAME) if isinstance(selector, Mapping) else None)
     if at(pod, "hostNetwork") is not True or not named:
         return
-    policy = at(workload.data, "spec", "failurePolicyRef", "name")
-    pools = {one.name: one.data for one in ours if one.kind == "FallbackPool" and workload.together(one)}
-    for one in ours:
-        if (one.kind, one.name) != ("FailurePolicy", policy) or not workload.together(one):
-            continue
-        used = [at(strategy, "poolRef", "name") for strategy in items(one.data, "spec", "strategies")]
-        standbys = [
-            name for name in used if isinstance(name, str) and has_standbys(at(pools.get(name), "spec", "readiness"))
-        ]
-        if standbys:
-            message = (
-                f"all instances must be on node {named}, and two instances in the network of one node cannot start, because their agents "
-                f"have the same ports: the standbys of {', '.join(standbys)} would never run. Let the template select several nodes"
-            )
-            yield workload.finding("spec.template.spec.hostNetwork", message, warning=True)
+    standbys = [pool.name for pool in _pools(workload, ours) if has_standbys(at(pool.data, "spec", "readiness"))]
+    if standbys:
+        message = (
+            f"all instances must be on node {named}, and two instances in the network of one node cannot start, because their agents "
+            f"have the same ports: the standbys of {', '.join(standbys)} would never run. Let the template select several nodes"
+        )
+        yield workload.finding("spec.template.spec.hostNetwork", message, warning=True)
+
+
+def _beside(workload: Manifest, ours: Sequence[Manifest]) -> Iterator[Finding]:
+    """Report pools whose pods would reach the robot beside the mux, because a container has DDS profiles of its own."""
+    for pool in _pools(workload, ours):
+        for number, container in enumerate(items(pool.data, "spec", "template", "spec", "containers")):
+            if any(at(one, "name") == MIDDLEWARE.settings_variable for one in items(container, "env")):
+                message = (
+                    f"sets {MIDDLEWARE.settings_variable}, so the writers of this container are in no partition, and reach the robot of "
+                    f"RobotWorkload {workload.name} beside its mux. Remove the variable"
+                )
+                yield pool.finding(f"spec.template.spec.containers[{number}].env", message, warning=True)
+
+
+def _pools(workload: Manifest, ours: Sequence[Manifest]) -> list[Manifest]:
+    """Return the pools of the workload's policy that are among the given objects."""
+    name = at(workload.data, "spec", "failurePolicyRef", "name")
+    near = [one for one in ours if workload.together(one)]
+    policies = [one for one in near if (one.kind, one.name) == ("FailurePolicy", name)]
+    used = [at(one, "poolRef", "name") for policy in policies for one in items(policy.data, "spec", "strategies")]
+    return [one for one in near if one.kind == "FallbackPool" and one.name and one.name in used]

@@ -108,3 +108,14 @@ def test_standbys_in_the_network_of_one_node_are_reported() -> None:
     assert (finding.severity, finding.field) == ("warning", "spec.template.spec.hostNetwork")
     assert_golden("check", finding.message, "node lab-1")
     assert found(pinned.replace("kubernetes.io/hostname: lab-1", "zone: lab"), EXECUTING) == []
+
+
+def test_a_pool_whose_pods_would_bypass_the_mux_is_reported() -> None:
+    shared = (EXAMPLE / "strategies/uninitialized.yaml").read_text()
+    workload = WORKLOAD.replace("quickstart-executing", "quickstart-uninitialized")
+    assert found(workload, shared) == []
+    env = "env: [{name: FASTRTPS_DEFAULT_PROFILES_FILE, value: /mine.xml}]"
+    template = f"template: {{spec: {{containers: [{{name: drive, image: drive, command: [drive], {env}}}]}}}}"
+    finding = only(workload, shared.replace("templateFrom: {workload: robot-1-drive}", template))
+    assert (finding.severity, finding.field) == ("warning", "spec.template.spec.containers[0].env")
+    assert "beside its mux" in finding.message
