@@ -51,7 +51,7 @@ VERBS = (
     Verb(
         "robot-profile",
         "understudy.cli.control.robot_profile",
-        "write the DDS profiles for a robot outside the cluster",
+        "write the DDS profiles, or the settings of a mux, for a robot outside the cluster",
     ),
     Verb("simulate", "understudy.cli.simulate.simulate", "evaluate a policy on a recorded bag"),
     Verb("watch", "understudy.cli.simulate.watch", "evaluate a policy on a live ROS graph"),

@@ -215,6 +215,14 @@ def well() -> Object:
     return workload(name, status=status(name, "x8v2m", 41, recoveries=found, recovery_count=3))
 
 
+def muxed(*conditions: Condition, **more: Any) -> Object:
+    """Build the same robot with a mux as its gate, and further fields of its spec."""
+    name, found = "robot-17-navigation", recoveries()
+    usual = condition("GateEnforced", "True", "ReportedByMux")
+    known = status(name, "x8v2m", 41, usual, *conditions, recoveries=found, recovery_count=3)
+    return workload(name, status=known, **{"gate": {"kind": "Mux"}, **more})
+
+
 def degraded() -> Object:
     name = "robot-18-navigation"
     words = "/scan at 8.6 Hz (band 9.0 to 11.0), from the tree's leaf sensors/scan."
@@ -330,7 +338,7 @@ def around(item: Object, *, standby_waits: str = "") -> list[Object]:
         policy(),
         hot(),
         shared,
-        gate | {"kind": "NetworkPolicy"},
+        gate,
         driving,
         on("node-2", standby, "manifest unknown" if standby_waits else ""),
         *held,

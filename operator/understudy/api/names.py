@@ -213,11 +213,23 @@ STATE_DIR = "/var/lib/understudy"
 MUX_TOKEN_FILE = "/etc/understudy-mux/token"
 """Where a mux reads its token by default: the Secret :func:`mux` is mounted there."""
 
+MUX_TOKEN_VARIABLE = "UNDERSTUDY_TOKEN_FILE"
+"""Environment variable of a mux with another file that has its token."""
+
+MUX_STATE_VARIABLE = "UNDERSTUDY_STATE"
+"""Environment variable of a mux with another folder than STATE_DIR."""
+
+ADDRESS_VARIABLE = "UNDERSTUDY_ADDRESS"
+"""Environment variable of a mux with the address of its host, if that has several."""
+
 NAMESPACE_VARIABLE = "UNDERSTUDY_NAMESPACE"
 """Environment variable of Understudy's own processes with the namespace of the workload."""
 
 OUTPUTS_VARIABLE = "UNDERSTUDY_OUTPUTS"
 """Environment variable of a mux with the outputs of its workload, as in the spec, in JSON."""
+
+ALLOWED_NODES_VARIABLE = "UNDERSTUDY_ALLOWED_NODES"
+"""Environment variable of a mux with the nodes that may write outputs beside it, in JSON."""
 
 FENCED_VARIABLE = "UNDERSTUDY_FENCED_CONTAINERS"
 UNFENCED_VARIABLE = "UNDERSTUDY_UNFENCED_CONTAINERS"

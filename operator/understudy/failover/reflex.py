@@ -85,10 +85,10 @@ def measured(arrivals: Sequence[float], now: float) -> bool:
     return len(arrivals) >= ENOUGH and arrivals[-1] - arrivals[0] >= ENOUGH_FOR and now - arrivals[-1] < ENOUGH_FOR
 
 
-def begin(taken: ReflexSwitch, active: PodIdentity, deadline: float) -> Progress:
-    """Return the recovery for a switch that the robot's readers have already made."""
+def begin(taken: ReflexSwitch, active: PodIdentity, deadline: float, switcher: str = "the robot's readers") -> Progress:
+    """Return the recovery for a switch that the robot's readers, or the mux, have already made."""
     progress = Progress.begin(
-        f"{active.name} sent nothing for more than {deadline * 1000:.0f} ms (spec.gate.reflex.deadline), so the robot's readers "
+        f"{active.name} sent nothing for more than {deadline * 1000:.0f} ms (spec.gate.reflex.deadline), so {switcher} "
         f"switched to {taken.standby.name}",
         last_healthy=taken.last,
         detected=taken.first,

@@ -9,7 +9,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -36,14 +36,16 @@ REPORT_PERIOD = 1.0
 FOLLOW_PERIOD, LIST_PERIOD = 0.2, 2.0
 """Seconds between two looks whether the number of writers or readers has changed, and between two lists of them."""
 
-MONITOR = "/understudy_monitor"
-"""The node of monitors, which send a policy's safe commands."""
+NAMED_WITHIN = 25.0
+"""Seconds after which a writer counts although its node has no name. Discovery reports names after writers, and reports the writers of a
+process that was killed, such as a former mux, for 20 s and without a name."""
 
 
 def main(argv: list[str]) -> int:
     """Run until SIGTERM or SIGINT.
 
-    UNDERSTUDY_NAMESPACE and UNDERSTUDY_WORKLOAD name the workload, and UNDERSTUDY_OUTPUTS has its outputs as in its spec, as JSON.
+    UNDERSTUDY_NAMESPACE and UNDERSTUDY_WORKLOAD name the workload. UNDERSTUDY_OUTPUTS has its outputs, and UNDERSTUDY_ALLOWED_NODES the
+    nodes that may write them beside the mux, as in its spec, as JSON.
     UNDERSTUDY_TOKEN_FILE is the file with its token, UNDERSTUDY_STATE the folder for whom it forwards, and UNDERSTUDY_ADDRESS this host's
     address, each with a default. The environment gives the ROS graph.
     """
@@ -51,22 +53,25 @@ def main(argv: list[str]) -> int:
     try:
         namespace, workload = os.environ[names.NAMESPACE_VARIABLE], os.environ[names.WORKLOAD_VARIABLE]
         outputs = TypeAdapter(list[Output]).validate_json(os.environ[names.OUTPUTS_VARIABLE])
-        token = Path(os.environ.get("UNDERSTUDY_TOKEN_FILE", names.MUX_TOKEN_FILE)).read_bytes()
+        allowed = TypeAdapter(list[str]).validate_json(os.environ.get(names.ALLOWED_NODES_VARIABLE, "[]"))
+        token = Path(os.environ.get(names.MUX_TOKEN_VARIABLE, names.MUX_TOKEN_FILE)).read_bytes()
     except (KeyError, ValueError, OSError) as error:
         print(
             "understudy mux: it needs the environment of ConfigMap WORKLOAD-mux, and the token of Secret WORKLOAD-mux in the file "
-            f"{names.MUX_TOKEN_FILE}, or in that of UNDERSTUDY_TOKEN_FILE: {error!r}",
+            f"{names.MUX_TOKEN_FILE}, or in that of {names.MUX_TOKEN_VARIABLE}: {error!r}",
             file=sys.stderr,
         )
         return 2
-    state = Path(os.environ.get("UNDERSTUDY_STATE", STATE))
+    state = Path(os.environ.get(names.MUX_STATE_VARIABLE, STATE))
     state.mkdir(parents=True, exist_ok=True)
     cpu_scheduling.ask_for_short_slices()
-    asyncio.run(_run(namespace, workload, outputs, token, state))
+    asyncio.run(_run(namespace, workload, outputs, allowed, token, state))
     return 0
 
 
-async def _run(namespace: str, workload: str, outputs: Sequence[Output], token: bytes, state: Path) -> None:
+async def _run(
+    namespace: str, workload: str, outputs: Sequence[Output], allowed: Collection[str], token: bytes, state: Path
+) -> None:
     from understudy.ros.rmw import MIDDLEWARE
 
     settings = state / "profiles.xml"
@@ -99,7 +104,7 @@ async def _run(namespace: str, workload: str, outputs: Sequence[Output], token: 
     loop.add_reader(wakeups.descriptor, arrived)
     loop.add_reader(texts.descriptor, ordered)
     _logger.info("mux of %s/%s: %s", namespace, workload, ", ".join(output.name for output in outputs))
-    tasks = [asyncio.create_task(_follow(ways, forwarder, work.done)), asyncio.create_task(work.report())]
+    tasks = [asyncio.create_task(_follow(ways, forwarder, allowed, work.done)), asyncio.create_task(work.report())]
     stopped = asyncio.create_task(stopping.wait())
     await asyncio.wait([*tasks, stopped], return_when=asyncio.FIRST_COMPLETED)
     for task in tasks:
@@ -155,19 +160,25 @@ class _Work:
                 self.done()
 
 
-async def _follow(routes: Sequence[Route], forwarder: Forwarder, learned: Callable[[], None]) -> None:
-    """Learn whose writers there are, and match the QoS of both sides. ``learned`` is called when discovery has reported new writers."""
+async def _follow(
+    routes: Sequence[Route], forwarder: Forwarder, allowed: Collection[str], learned: Callable[[], None]
+) -> None:
+    """Learn whose writers there are, and match the QoS of both sides. ``learned`` is called when discovery has reported new writers.
+
+    ``allowed`` are the nodes that may write beside the mux.
+    """
     from understudy.ros.observe.writer_instances import WriterInstances
 
-    found = WriterInstances(os.environ.get("UNDERSTUDY_ADDRESS", ""))
+    found = WriterInstances(os.environ.get(names.ADDRESS_VARIABLE, ""))
     forwarder.instances = found.names
     counts: list[tuple[int, int]] = []
+    since: dict[bytes, float] = {}
     again = 0.0
     while True:
         now, counted = time.monotonic(), [route.counts() for route in routes]
         if counted != counts or now >= again:
             counts, again = counted, now + LIST_PERIOD
-            present = _look(routes, forwarder, found.names)
+            present = _look(routes, forwarder, allowed, found.names, since, now)
             if await found.update(present):
                 learned()
                 again = 0.0
@@ -176,20 +187,33 @@ async def _follow(routes: Sequence[Route], forwarder: Forwarder, learned: Callab
         await asyncio.sleep(FOLLOW_PERIOD)
 
 
-def _look(routes: Sequence[Route], forwarder: Forwarder, instances: Mapping[bytes, str]) -> set[bytes]:
-    """Match the QoS of both sides, and note who writes beside the mux. Returns the writers that are present."""
+def _look(
+    routes: Sequence[Route],
+    forwarder: Forwarder,
+    allowed: Collection[str],
+    instances: Mapping[bytes, str],
+    since: dict[bytes, float],
+    now: float,
+) -> set[bytes]:
+    """Match the QoS of both sides, and note who writes beside the mux. Returns the writers that are present.
+
+    ``since`` is kept for the next look: when each writer was found.
+    """
     present: set[bytes] = set()
     strangers: set[str] = set()
     for route in routes:
         writers = route.writers()
         present |= {end.gid for end in writers}
+        since |= {end.gid: since.get(end.gid, now) for end in writers}
         # None: discovery has not reported it yet.
         ours = {end.gid: instances.get(end.gid) for end in writers}
         strangers |= {
             f"{route.output} by {end.node or 'an unnamed node'}"
             for end in writers
-            if ours[end.gid] == "" and not end.node.startswith(MONITOR)
+            if ours[end.gid] == "" and (end.node or now - since[end.gid] >= NAMED_WITHIN) and end.node not in allowed
         }
         route.follow([gid for gid, instance in ours.items() if instance])
+    for gone in since.keys() - present:
+        del since[gone]
     forwarder.strangers = tuple(sorted(strangers))
     return present

@@ -145,7 +145,7 @@ def test_conditions_are_a_map_by_type(kind: Kind) -> None:
     assert conditions["x-kubernetes-list-map-keys"] == ["type"]
 
 
-def test_wide_columns_show_the_strategies_the_situation_and_kept_state() -> None:
+def test_wide_columns_show_the_strategies_the_situation_the_gate_and_kept_state() -> None:
     (version,) = definition(BY_NAME["RobotWorkload"])["spec"]["versions"]
     wide = {
         c["name"]: (c["jsonPath"], c["type"]) for c in version["additionalPrinterColumns"] if c.get("priority") == 1
@@ -153,6 +153,7 @@ def test_wide_columns_show_the_strategies_the_situation_and_kept_state() -> None
     assert wide == {
         "Order": (".status.strategies", "string"),
         "Situation": (".status.situation.name", "string"),
+        "Gate": (".spec.gate.kind", "string"),
         "Kept": (".status.kept", "string"),
         "Taken": (".status.state[0].takenAt", "date"),
     }

@@ -80,6 +80,12 @@ def test_the_monitor_reads_the_partitions_and_shares_a_token_with_the_mux_that_n
     assert "w-mux" not in json.dumps(pod)
 
 
+def test_the_mux_knows_the_nodes_that_may_write_beside_it() -> None:
+    gate = {"kind": "Mux", "mux": {"allowedNodes": ["/joy_teleop"]}}
+    maps = applied(World(workload(gate=gate), policy("hot"), hot()).plan(), "configmaps")
+    assert json.loads(maps["w-mux"]["data"][names.ALLOWED_NODES_VARIABLE]) == ["/joy_teleop"]
+
+
 def test_a_workload_keeps_its_token_of_the_mux() -> None:
     world = World(workload(gate={"kind": "Mux"}), policy("hot"), hot())
     (secret,) = (one for one in created(world.plan(), "secrets") if kube_objects.name(one) == "w-mux")

@@ -203,7 +203,10 @@ def gate(of: Object, *, active: Object | None = None, epoch: int = 0) -> Object:
             names.ACTIVE: kube_objects.name(active),
             names.ACTIVE_UID: kube_objects.uid(active),
         }
-        made["spec"]["podSelector"]["matchLabels"][names.INSTANCE] = kube_objects.name(active)
+        kind, name = registry.of(of), kube_objects.name(active)
+        made["spec"] |= kind.routing(kube_objects.name(of), name)["spec"]
+        if selector := made["spec"].get("podSelector"):
+            selector.pop("matchExpressions")  # None in a merge patch: the field is removed
     return made
 
 

@@ -84,6 +84,12 @@ def reflex_progress(world: World) -> Progress:
     return reflex.begin(ReflexSwitch(W2, last=now - 0.13, first=now - 0.005), W1, DEADLINE)
 
 
+@pytest.mark.parametrize("switcher", ["the robot's readers", "the mux"])
+def test_the_reason_names_who_switched(switcher: str) -> None:
+    found = reflex.begin(ReflexSwitch(W2, last=1.0, first=1.1), W1, DEADLINE, switcher)
+    assert f"so {switcher} switched to {W2.name}" in found.reason
+
+
 async def carried_out(progress: Progress, world: World) -> Progress:
     await reflex.commit(progress, world.context())
     choices = [Choice(ReflexFallback(), 0.3), Choice(ExecutingFallback("hot"), 0.3), Choice(Restart(), 0.3)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import get_args
 
 import pytest
@@ -52,6 +53,15 @@ def test_every_gate_kind_of_the_api_has_an_implementation() -> None:
     assert set(registry.KINDS) == set(get_args(Gate.model_fields["kind"].annotation))
     assert all(name == kind.kind for name, kind in registry.KINDS.items())
     assert registry.DEFAULT is registry.of({"metadata": {"name": "w"}})
+    specs = [Gate.model_validate({"kind": name}) for name in registry.KINDS]
+    assert [spec.is_at_robot for spec in specs] == [kind.is_at_robot for kind in registry.KINDS.values()]
+
+
+@every_kind
+def test_what_users_read_about_a_kind_names_its_gate_object_and_its_page(kind: GateKind) -> None:
+    assert f"{kind.object_kind} w-gate" in kind.how_it_switches("w")
+    assert "standby w-2" in kind.words_for_admitted("w-2")
+    assert (Path(__file__).parents[3] / kind.page).is_file()
 
 
 @every_kind

@@ -105,6 +105,19 @@ def test_a_switch_of_the_muxs_own_is_a_takeover_with_the_times_of_both(reports: 
     assert reports.switched("w-1") is None, "the mux has not answered the last order yet"
 
 
+def test_a_switch_that_nobody_commits_is_reported_with_both_instances(reports: MuxReports) -> None:
+    switch = replace(REPORT, token=Token(1000.0, 5, 1), source="w-2", since=0.1)
+    reports.add(switch)
+    assert reports.reported("w-1")[:2] == ("Unknown", "Settling"), "the monitor is about to commit it"
+    reports.add(replace(switch, since=mux_reports.SILENT + 0.1))
+    status, reason, message = reports.reported("w-1")
+    assert (status, reason) == ("Unknown", mux_reports.SWITCHED_BY_MUX)
+    assert "switched to w-2" in message
+    assert "names w-1" in message
+    ordered(reports, replace(ORDER, epoch=6, source="w-3"), "later")
+    assert reports.reported("w-3")[:2] == ("Unknown", "Settling"), "the order is on its way"
+
+
 def test_a_commit_knows_only_the_switches_from_before_it_was_decided(reports: MuxReports) -> None:
     """The API server is away for long, and the mux switches once more before it carries the commit of the first switch out."""
     first = replace(REPORT, token=Token(1000.0, 5, 1), source="w-2")

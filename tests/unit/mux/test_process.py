@@ -70,7 +70,7 @@ class Stand:
         self.monitor = processes.node(*topics("fleet", "w"), script=str(folder / "monitor.py"))
         self.start()
 
-    def start(self) -> None:
+    def start(self, **environment: str) -> None:
         self.mux = self._processes.start(
             [sys.executable, "-m", "understudy.main", "mux"],
             UNDERSTUDY_NAMESPACE="fleet",
@@ -79,15 +79,15 @@ class Stand:
             UNDERSTUDY_TOKEN_FILE=str(self._folder / "token"),
             UNDERSTUDY_STATE=str(self._folder / "state"),
             UNDERSTUDY_ADDRESS="127.0.0.1",
+            **environment,
         )
 
-    def instance(self, pod: str) -> subprocess.Popen[str]:
-        profile = str(self._folder / "instance.xml")
+    def instance(self, pod: str, *, muxed: bool = True) -> subprocess.Popen[str]:
+        profile = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(self._folder / "instance.xml")} if muxed else {}
         node: subprocess.Popen[str] = self._processes.node(
             pod,
             script=str(self._folder / "talk.py"),
-            FASTRTPS_DEFAULT_PROFILES_FILE=profile,
-            **{names.POD_VARIABLE: pod},
+            **{names.POD_VARIABLE: pod, **profile},
         )
         return node
 
@@ -187,3 +187,17 @@ def test_the_robot_receives_safe_commands_from_nobody_in_control_and_none_beside
     stand.until("w-1")
     assert stand.heard() in (["safe", "w-1"], ["w-1"]), "no safe command after the first one of the instance"
     assert stand.report().safe_sent
+
+
+def test_a_writer_beside_the_mux_is_reported_unless_its_node_is_allowed(stand: Stand) -> None:
+    stand.instance("w-1", muxed=False)
+    stand.order(ORDER)
+    end = time.monotonic() + 30
+    while stand.report().strangers != (f"{CHAT} by /talker",):
+        assert time.monotonic() < end, stand.report()
+    stand.mux.kill()
+    stand.start(**{names.ALLOWED_NODES_VARIABLE: '["/talker"]'})
+    stand.order(replace(ORDER, epoch=6))
+    stand.instance("w-1")
+    # Discovery has reported the writer of the instance, and so the one beside it, and that of the mux that was killed.
+    assert stand.until("w-1").strangers == ()

@@ -79,16 +79,19 @@ class Output(Model):
     topic: RosName | None = None
     """Fully qualified name of a topic that the robot subscribes to."""
     service: RosName | None = None
-    """Fully qualified name of a service between the workload and the robot. Either side may be the server."""
+    """Fully qualified name of a service between the workload and the robot. Either side may be the server; with gate
+    kind Mux, only the robot."""
     action: RosName | None = None
-    """Fully qualified name of an action between the workload and the robot. Either side may be the server."""
+    """Fully qualified name of an action between the workload and the robot. Either side may be the server; with gate
+    kind Mux, only the robot."""
     type: str = matching(ROS_TYPE_PATTERN, ROS_TYPE_MESSAGE, max_length=256)
     """ROS type, such as geometry_msgs/msg/Twist."""
     lifespan: Duration | None = None
     """How long a command stays valid if the robot has not received it: about one period of the output. Then the writer
     in the instance deletes it, so that a standby does not deliver old commands when the gate opens for it. Applies to
     the messages of a topic, the requests of a service, and the goals and cancellations of an action. Does not apply to
-    replies, to the pods of a workloadRef, or to containers with a DDS profile file of their own. A latched topic
+    replies, to the pods of a workloadRef, or to containers with a DDS profile file of their own, and not with gate
+    kind Mux, which never forwards a command from before the gate was open for its writer. A latched topic
     (durability transient local) needs a long lifespan. Default: 100ms for a topic, or gate.reflex.deadline if that is
     shorter; 1s for a service or an action."""
 
@@ -160,12 +163,13 @@ class Reflex(Model):
     """DDS exclusive ownership in addition to the gate: the robot's own reader switches to the standby without the control plane."""
 
     deadline: Duration = "100ms"
-    """The robot's DataReader switches to the standby when it has received nothing from the active instance for this
-    long. Must be longer than the longest gap between outputs without a failure. On a machine with busy cores, that gap
-    may be longer than 100ms."""
+    """The robot's DataReader (with gate kind Mux, the mux) switches to the standby when it has received nothing from the
+    active instance for this long. Must be longer than the longest gap between outputs without a failure. On a machine
+    with busy cores, that gap may be longer than 100ms."""
     accept: list[RosName] = Field(default_factory=list, max_length=24)
     """Outputs that may switch independently of each other. If there are several outputs, or a service or action, list
-    all of them here to accept that. Otherwise the operator refuses the workload (condition Accepted)."""
+    all of them here to accept that. Otherwise the operator refuses the workload (condition Accepted). Not needed with
+    gate kind Mux, where all outputs switch at once."""
 
 
 @with_rules(
@@ -198,17 +202,21 @@ class OnBoard(Model):
     standby of an Executing pool, so that this instance drives only if the cluster cannot be reached."""
 
 
-class Mux(Model):
-    """Settings of the mux. Only for kind Mux."""
+class MuxSettings(Model):
+    """Settings of the mux."""
 
     on_board: OnBoard | None = None
     """The instance that drives the robot while the link to the cluster is down. Absent: then nobody does. See docs/mux.md."""
+    allowed_nodes: list[RosName] = Field(default_factory=list, max_length=16)
+    """Nodes that may command the robot beside the mux, such as one for teleoperation, by their full names (/joy_teleop).
+    The mux does not report them as writers that bypass it, and nothing keeps them from the robot while an instance
+    commands it too. Restart the mux after a change."""
 
 
 @with_rules(
     (
-        "!has(self.mux) || self.kind == 'Mux'",
-        "mux is allowed only if kind is Mux",
+        "!has(self.mux) || (has(self.kind) && self.kind == 'Mux')",
+        "mux is allowed only with kind Mux",
         ".mux",
     ),
 )
@@ -231,8 +239,8 @@ class Gate(Model):
     """Reflex: if the active instance falls silent, a standby of an Executing pool takes over before the monitor acts. With
     kind NetworkPolicy, the gate is also open for that standby, and by DDS exclusive ownership the robot's own DataReaders
     switch to it. With kind Mux, the mux switches. Absent: only the monitor switches. See docs/reflex.md."""
-    mux: Mux | None = None
-    """Settings of the mux. Only for kind Mux."""
+    mux: MuxSettings | None = None
+    """Settings of the mux. Only with kind Mux."""
 
     @property
     def is_at_robot(self) -> bool:

@@ -103,6 +103,7 @@ KINDS = (
                 "The situation that currently applies, as defined by the policy.",
                 wide=True,
             ),
+            Column("Gate", ".spec.gate.kind", "Kind of the gate.", wide=True),
             Column("Kept", ".status.kept", "Summary of the kept state of the healthy instance.", wide=True),
             Column(
                 "Taken",

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from understudy.api.output_formats import structured
-from understudy.cli.check import reference_check
+from understudy.cli.check import mux_check, reference_check
 from understudy.cli.common.errors import reports_errors
 from understudy.cli.common.option_rules import add_output
 from understudy.cli.common.text import terminal
@@ -58,7 +58,7 @@ def check(files: Sequence[tuple[str, bytes]]) -> Result:
     """Check the contents of files, each with the name that findings show."""
     result = Result(files=len(files))
     ours: list[Manifest] = []
-    config_maps: list[Manifest] = []
+    others: list[Manifest] = []
     for name, content in files:
         manifests, found = manifest_reader.read(name, content)
         result.findings += found
@@ -68,12 +68,13 @@ def check(files: Sequence[tuple[str, bytes]]) -> Result:
                 result.findings += object_check.check(manifest)
             else:
                 result.skipped += 1
-                if manifest.kind == "ConfigMap":
-                    config_maps.append(manifest)
+                others.append(manifest)
                 result.findings += _other(manifest)
     result.checked = len(ours)
     result.findings += reference_check.check(ours)
+    config_maps = [one for one in others if one.kind == "ConfigMap"]
     result.findings += config_map_trees.check([one for one in ours if one.kind == "FailurePolicy"], config_maps)
+    result.findings += mux_check.check(ours, others)
     order = {name: number for number, (name, _) in enumerate(files)}
     result.findings = sorted(dict.fromkeys(result.findings), key=lambda one: (order[one.file], one.place))
     return result

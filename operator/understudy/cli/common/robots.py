@@ -20,7 +20,9 @@ from understudy.cli.common.errors import CommandError
 from understudy.cli.common.recovery_under_way import UnderWay, under_way
 from understudy.cli.common.text.wording import counted, listed
 from understudy.controller.status.protection import LIMIT_CONDITIONS
+from understudy.kube.gates import registry
 from understudy.kube.gates.base import GateRecord
+from understudy.kube.gates.mux_reports import SWITCHED_BY_MUX
 
 Object = Mapping[str, Any]
 
@@ -107,6 +109,8 @@ class Robot(Model):
     namespace: str
     name: str
     policy: str
+    gate: str
+    """The kind of its gate."""
     created: str | None
     health: str
     """As the monitor reports it, or UNWATCHED; also Recovering if only the gate records a recovery."""
@@ -180,6 +184,7 @@ def robot(item: Object, gate: dict[str, Any] | None = None, now: float = 0.0) ->
         namespace=metadata["namespace"],
         name=metadata["name"],
         policy=(spec.get("failurePolicyRef") or {}).get("name", ""),
+        gate=registry.of(dict(item)).kind,
         created=metadata.get("creationTimestamp"),
         health=UNWATCHED if unwatched else health,
         protected=protected is not None and protected.status == "True",
@@ -275,6 +280,8 @@ def _is_problem(condition: Condition) -> bool:
     match condition.type:
         case "Degraded" | "Paused" | "DependencyFailed":
             return condition.status == "True"
+        case "GateEnforced":
+            return condition.status == "False" or condition.reason == SWITCHED_BY_MUX
         case "Recovering":
             return condition.status == "True" or condition.reason not in PAST
         case "Reflex":

@@ -48,6 +48,8 @@ def _fence(kubectl: Kubectl, item: Object, pause: Pause) -> int:
         f"The workload is {pause.words}. WARNING: no safe command is sent to the robot. Make sure that the robot stands still. After "
         f"understudy resume {name}, the gate opens for an instance, and the robot can move at once."
     )
+    if kind.fence_hint:
+        _print(kind.fence_hint)
     return 0
 
 
@@ -93,7 +95,7 @@ def fencing(kind: GateKind, name: str, over: GateRecord, generation: int) -> Obj
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy fence",
-        description="Closes the gate of a RobotWorkload: as soon as the network enforces this, no output of its "
+        description="Closes the gate of a RobotWorkload: as soon as the network (or the mux at the robot) enforces this, no output of its "
         "instances reaches the robot. Also pauses the workload, so that the gate stays closed until understudy "
         "resume. This is not an emergency stop: what the robot does without commands is up to the robot.",
         epilog="Exit status: 0 if the gate is closed, 2 on an error.",

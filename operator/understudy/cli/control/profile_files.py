@@ -15,6 +15,27 @@ ENV_FILE = "ros.env"
 PROFILES_FILE = names.PROFILES_KEY
 
 
+def env_text(variables: Mapping[str, str]) -> str:
+    """Return an environment in a format for systemd's EnvironmentFile, docker's --env-file, and a shell with ``set -a``."""
+    return "".join(f"{key}={value}\n" for key, value in variables.items())
+
+
+def to_reach(spec: RobotWorkloadSpec, environment: Mapping[str, str]) -> Iterator[str]:
+    """Yield what must reach what, as sentences, whatever the kind of the gate is."""
+    server = MIDDLEWARE.discovery_server(environment)
+    match spec.ros.discovery.mode:
+        case "Managed":
+            yield (
+                f"Only nodes of the cluster reach the discovery server {server}. If the robot is not one, run a server that both "
+                "sides reach, and name it in spec.ros.discovery (mode: External, server: HOST:PORT)."
+            )
+        case "External":
+            yield f"The robot must reach the discovery server {server}."
+        case "Multicast":
+            yield "Multicast must reach the pods from the robot, which most pod networks do not support: see spec.ros.discovery."
+    yield "Pods and robot must reach each other without address translation: DDS announces the addresses of its own host."
+
+
 @dataclass(frozen=True)
 class Profile:
     """The files and settings that the robot's side of a workload needs."""
@@ -34,9 +55,8 @@ class Profile:
 
     @property
     def env_file(self) -> str:
-        """The environment in a format for systemd's EnvironmentFile, docker's --env-file, and a shell with ``set
-        -a``."""
-        return "".join(f"{key}={value}\n" for key, value in self.variables.items())
+        """The environment as a file."""
+        return env_text(self.variables)
 
     @property
     def files(self) -> dict[str, str]:
@@ -87,18 +107,7 @@ class Profile:
                 "spec.gate.robots has no address, so instances receive nothing from the robot: "
                 f"kubectl patch robotworkload -n {self.namespace} {self.name} --type=merge -p '{patch}'"
             )
-        server = MIDDLEWARE.discovery_server(self.environment)
-        match self.spec.ros.discovery.mode:
-            case "Managed":
-                yield (
-                    f"Only nodes of the cluster reach the discovery server {server}. If the robot is not one, run a server that both "
-                    "sides reach, and name it in spec.ros.discovery (mode: External, server: HOST:PORT)."
-                )
-            case "External":
-                yield f"The robot must reach the discovery server {server}."
-            case "Multicast":
-                yield "Multicast must reach the pods from the robot, which most pod networks do not support: see spec.ros.discovery."
-        yield "Pods and robot must reach each other without address translation: DDS announces the addresses of its own host."
+        yield from to_reach(self.spec, self.environment)
         yield "When spec.outputs or spec.ros changes, do this again and restart the robot's processes."
 
     def to_wire(self) -> dict[str, Any]:

@@ -12,7 +12,8 @@ from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.output_formats import structured
 from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options
 from understudy.cli.common.errors import CommandError, reports_errors
-from understudy.cli.control.profile_files import Profile
+from understudy.cli.control.mux_files import MuxFiles
+from understudy.cli.control.profile_files import ENV_FILE, PROFILES_FILE, Profile
 from understudy.controller.pods.ros_environment import PROFILES_DIR
 from understudy.kube.client import Object
 
@@ -31,21 +32,34 @@ def main(arguments: list[str]) -> int:
     elif options.output == "text":
         print("\n".join(found.lines()))
     else:
-        print(found.env_file if options.output == "env" else found.profiles, end="")
+        print(_file(found, ENV_FILE if options.output == "env" else PROFILES_FILE), end="")
     return 0
 
 
-def _profile(kubectl: Kubectl, item: Object, folder: str) -> Profile:
+def _file(found: Profile | MuxFiles, name: str) -> str:
+    if name not in found.files:
+        raise CommandError(
+            f"the robot of {found.name} needs no {name}, because a mux forwards the outputs: {', '.join(found.files)}"
+        )
+    return found.files[name]
+
+
+def _profile(kubectl: Kubectl, item: Object, folder: str | None) -> Profile | MuxFiles:
     """Read the ConfigMaps that the operator keeps for the robot's side. Raises CommandError."""
     name = item["metadata"]["name"]
-    environment, profiles = (_data(kubectl, name, one) for one in (names.robot_env(name), names.robot_profiles(name)))
+    environment = _data(kubectl, name, names.robot_env(name))
     try:
         spec = RobotWorkloadSpec.model_validate(item["spec"])
     except ValidationError as error:
         raise CommandError(
             f"RobotWorkload {name} is of another version of Understudy: see understudy doctor"
         ) from error
-    return Profile(name, item["metadata"]["namespace"], spec, environment, profiles[names.PROFILES_KEY], folder)
+    namespace = item["metadata"]["namespace"]
+    if spec.gate.is_at_robot:
+        settings = _data(kubectl, name, names.mux(name))
+        return MuxFiles(name, namespace, spec, environment, settings, folder or f"{PROFILES_DIR}/{name}")
+    profiles = _data(kubectl, name, names.robot_profiles(name))[names.PROFILES_KEY]
+    return Profile(name, namespace, spec, environment, profiles, folder or PROFILES_DIR)
 
 
 def _data(kubectl: Kubectl, workload: str, name: str) -> dict[str, str]:
@@ -56,7 +70,7 @@ def _data(kubectl: Kubectl, workload: str, name: str) -> dict[str, str]:
     return data
 
 
-def _write(found: Profile, folder: Path) -> None:
+def _write(found: Profile | MuxFiles, folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in found.files.items():
@@ -69,7 +83,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy robot-profile",
         description="Prints the environment variables and the DDS profiles for the processes of a robot outside "
-        "the cluster. With these, the processes join the robot's ROS graph and read the outputs at gated ports. "
+        "the cluster. With these, the processes join the robot's ROS graph and read the outputs at gated ports. With gate kind Mux, "
+        "they need no profiles, and the second file is the environment of the mux instead. "
         "Also prints where to put the two files, and what else the robot needs. It changes nothing.",
         epilog="Exit status: 0 on success, 2 on an error, for example if the files do not exist yet.",
     )
@@ -87,8 +102,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--at",
         metavar="FOLDER",
-        default=PROFILES_DIR,
-        help="folder of the two files on the robot (default: %(default)s)",
+        help=f"folder of the two files on the robot (default: {PROFILES_DIR}, or {PROFILES_DIR}/NAME with gate kind Mux)",
     )
     add_options(parser)
     return parser

@@ -23,6 +23,7 @@ from understudy.cli.doctor import (
     discovery_check,
     findings,
     installation_check,
+    mux_check,
     packet_check,
     rights_check,
     test_pods,
@@ -32,6 +33,7 @@ from understudy.cli.doctor.installation_check import Installed
 from understudy.controller.observed import kube_objects
 from understudy.controller.plan import Images
 from understudy.kube.client import WORKLOADS, Object
+from understudy.kube.gates import registry
 
 WELL, NOT_WELL = 0, 1
 """Exit statuses besides ERROR."""
@@ -103,11 +105,14 @@ class _Examination:
         lost = list(discovery_check.servers(self._api, namespace, workloads))
         self.found += lost
         self.found += monitor_findings(workloads)
+        self.found += mux_check.check(self._api, namespace, workloads)
         if not self._options.no_pods:
             failed = {finding.check for finding in lost}
             try:
                 self._try(
-                    self._images(operator), [one for one in workloads if discovery_check.check(one) not in failed]
+                    self._images(operator),
+                    [one for one in workloads if discovery_check.check(one) not in failed],
+                    by_network=needs_network(workloads),
                 )
             except CommandError as error:
                 cure = "name with -n a namespace in which you may create pods, or skip them with --no-pods"
@@ -135,24 +140,32 @@ class _Examination:
             raise CommandError("the monitor's image is not known, since no operator is found; give it with --image")
         return known
 
-    def _try(self, images: Images, workloads: Sequence[Object]) -> None:
-        """Run the checks that need pods. Raises CommandError."""
+    def _try(self, images: Images, workloads: Sequence[Object], *, by_network: bool) -> None:
+        """Run the checks that need pods; ``by_network`` is whether the network has to enforce gates. Raises CommandError."""
         with (
             clock_check.NodeClocks(self._api) as nodes,
             test_pods.pair(self._kubectl, self._api, images, self._progress) as pods,
         ):
-            gate_test = packet_check.measure(pods, self._progress)
-            self.measured["gate"] = packet_check.to_wire(gate_test)
-            self.found += packet_check.judge(gate_test)
+            if by_network:
+                gate_test = packet_check.measure(pods, self._progress)
+                self.measured["gate"] = packet_check.to_wire(gate_test)
+                self.found += packet_check.judge(gate_test)
+                measured = gate_test.clocks
+            else:
+                measured = packet_check.clocks(pods, self._progress)
             self.found += discovery_check.joined(pods, workloads, self._progress)
-        clocks = {**nodes.clocks, **gate_test.clocks}
+        clocks = {**nodes.clocks, **measured}
         self.measured["clocks"] = clock_check.to_wire(clocks)
         self.found.append(clock_check.judge(clocks, clock_check.of_api_server(self._api)))
 
 
+def needs_network(workloads: Sequence[Object]) -> bool:
+    """Return whether the network must enforce gates: it need not if each of the workloads has a mux."""
+    return not workloads or any(not registry.of(one).is_at_robot for one in workloads)
+
+
 def monitor_findings(workloads: Sequence[Object]) -> Iterator[Finding]:
-    """Yield what the monitors report: their versions, whether the network enforces their gates, and who reads the
-    outputs."""
+    """Yield what the monitors report: their versions, whether their gates are enforced, and who reads the outputs."""
     for workload in workloads:
         name, status = kube_objects.name(workload), workload.get("status") or {}
         if status.get("health") and (version := (status.get("monitor") or {}).get("version")) != __version__:
@@ -165,10 +178,9 @@ def monitor_findings(workloads: Sequence[Object]) -> Iterator[Finding]:
         for condition in status.get("conditions") or []:
             message = condition["message"]
             if (condition["type"], condition["status"]) == (_ENFORCED, "False"):
-                page = (
-                    "robot-outside-the-cluster" if condition["reason"] == "ReaderWithoutProfile" else "network-policies"
-                )
-                yield Finding(f"gate of {name}", "FAIL", message, f"docs/how-to/{page}.md")
+                is_reader = condition["reason"] == "ReaderWithoutProfile"
+                page = "docs/how-to/robot-outside-the-cluster.md" if is_reader else registry.of(workload).page
+                yield Finding(f"gate of {name}", "FAIL", message, page)
             elif (
                 condition["type"] == _READ and condition["status"] != "False" and condition["reason"] != "AtGatedPorts"
             ):
@@ -181,8 +193,8 @@ def _parser() -> argparse.ArgumentParser:
         prog="understudy doctor",
         description="Checks whether a cluster does what Understudy needs: Kubernetes, operator and CRDs fit this "
         "version; you and the operator have the rights that they need; the network enforces gates for UDP, and how "
-        "soon; clocks agree; and the robots' discovery servers answer. The command creates two pods and a gate for "
-        "the test, which send nothing to a robot, and deletes them at the end.",
+        "soon, or the muxes report; clocks agree; and the robots' discovery servers answer. The command creates two pods and, unless all "
+        "robots have a mux, a gate for the test, which send nothing to a robot, and deletes them at the end.",
         epilog="Exit status: 0 if nothing failed (warnings are reported), 1 if something failed, 2 if this cannot be determined.",
     )
     parser.add_argument("names", metavar="NAME", nargs="*", help="a RobotWorkload (default: all)")

@@ -81,6 +81,16 @@ def measure(pods: Pods, progress: Callable[[str], None]) -> GateTest:
         return gate_test
 
 
+def clocks(pods: Pods, progress: Callable[[str], None]) -> dict[str, Clock]:
+    """Return the clocks of the pods' nodes without sending packets. Raises CommandError."""
+    progress("reading the clocks of their nodes")
+    found: dict[str, Clock] = {}
+    for pod in (pods.sender, pods.receiver):
+        with pods.talking(pod) as talk:
+            found[pod["spec"]["nodeName"]] = of_session(talk)
+    return found
+
+
 class _Measurement:
     def __init__(
         self, pods: Pods, sender: Session, receiver: Session, gate_test: GateTest, progress: Callable[[str], None]

@@ -42,6 +42,8 @@ from understudy.controller.pods import pool_size
 from understudy.controller.status import protection
 from understudy.controller.status.protection import StrategyAvailability
 from understudy.kube.client import Object
+from understudy.kube.gates import registry
+from understudy.kube.gates.base import GateKind
 from understudy.trees.languages.notations import load_monitoring
 from understudy.trees.source.problems import TreeError
 
@@ -127,6 +129,11 @@ class Facts:
     def is_well(self) -> bool:
         """Whether it is protected and its active instance works."""
         return self.protected.status == "True" and self.health in DRIVEN
+
+    @property
+    def gate_kind(self) -> GateKind:
+        """The kind of its gate."""
+        return registry.of(self.observed.workload)
 
     @property
     def spec(self) -> RobotWorkloadSpec | None:
@@ -263,7 +270,7 @@ def _state(known: Facts) -> Iterator[_Entry]:
         yield _Entry(found.message, "Failed")
     yield from _situation(known)
     if admitted := kube_objects.notes(observed.gate).get(names.ADMITTED, "") if observed.gate is not None else "":
-        yield _Entry(f"The gate also admits standby {admitted} (spec.gate.reflex).")
+        yield _Entry(known.gate_kind.words_for_admitted(admitted))
 
 
 def _situation(known: Facts) -> Iterator[_Entry]:
@@ -322,6 +329,8 @@ def _failing(known: Facts) -> Iterator[_Entry]:
             f"If the last one is not verified within {before.verify_within} either, the monitor waits and then tries all of them again. "
             "It skips a strategy that is not available."
         )
+    if before is not None:
+        yield _Entry(known.gate_kind.how_it_switches(known.robot.name))
     if before is not None and known.left_out:
         yield _Entry(f"Left out: {listed(known.left_out)}, which has standbys only while the robot is degraded.")
     yield from _otherwise(known, considered)
@@ -509,6 +518,8 @@ def _not_covered(known: Facts) -> Iterator[_Entry]:
     if known.is_watched and read is not None and read.status != "False" and read.reason != "AtGatedPorts":
         yield _Entry(read.message)
     policy, spec = known.policy, known.spec
+    if spec is not None:
+        yield from map(_Entry, known.gate_kind.not_covered(spec.outputs))
     if policy is None or spec is None:
         return
     try:

@@ -230,7 +230,7 @@ def _parser() -> argparse.ArgumentParser:
         prog="understudy status",
         description="Shows the robots and pools of a namespace: the active instance, ready standbys, the last recovery, and "
         "problems. It reads the status that operator and monitors write. A recovery in progress is recorded at the gate first, and "
-        "shown if you have permission to list NetworkPolicies. The command changes nothing.",
+        "shown if you have permission to list NetworkPolicies, or Leases for robots with a mux. The command changes nothing.",
         epilog="Exit status: 0 if every robot shown is protected (the monitor watches it, and the first strategy of its policy could run "
         "now) and healthy (or degraded), 1 if one is not, 2 on an error or if there is none.",
     )

@@ -227,5 +227,6 @@ _WIDE: _Columns = [
     ("NEXT", lambda robot, layout: Cell(robot.strategy or "Unknown")),
     ("SITUATION", lambda robot, layout: Cell(robot.situation or "none")),
     ("POLICY", lambda robot, layout: Cell(robot.policy)),
+    ("GATE", lambda robot, layout: Cell(robot.gate)),
     ("AGE", lambda robot, layout: Cell(age(robot.created, layout.now) if robot.created else "")),
 ]

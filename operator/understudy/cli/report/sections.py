@@ -221,7 +221,7 @@ def gaps(findings: Findings) -> Iterator[Markup]:
         element(
             "figcaption",
             "Between the last healthy output (for a switchover: the last output of the former instance) and the first output of the "
-            "next instance, as the monitor received them on the gated topics. Logarithmic axis.",
+            "next instance, as the monitor received them on the outputs that are topics. Logarithmic axis.",
         ),
     )
     rows = [{"Strategy": Cell(g.name), "n": number(len(g.gaps)), **_spread(Spread.of(g.gaps))} for g in groups]

@@ -43,6 +43,7 @@ def config_maps(
             names.NAMESPACE_VARIABLE: namespace,
             names.WORKLOAD_VARIABLE: workload,
             names.OUTPUTS_VARIABLE: json.dumps(listed),
+            names.ALLOWED_NODES_VARIABLE: json.dumps(gate.mux.allowed_nodes if gate.mux else []),
         }
         found.append(config_map(names.mux(workload), settings))
     if gate.on_board is not None:

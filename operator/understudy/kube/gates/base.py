@@ -22,6 +22,7 @@ from typing import Any, ClassVar, Literal, Protocol
 
 from understudy.api import names
 from understudy.api.base import OBJECT_NAME_PATTERN
+from understudy.api.kinds.robot_workload import Output
 from understudy.api.whole_numbers import whole_number
 from understudy.kube.client import Client, Object, Resource
 
@@ -173,6 +174,26 @@ class GateKind(ABC):
     """Kind of the gate object."""
     resource: ClassVar[Resource]
     """The resource of the gate object. The operator watches the objects of this resource that it has created."""
+    page: ClassVar[str]
+    """The page of the docs about what the kind needs."""
+    is_at_robot: ClassVar[bool] = False
+    """As ``Gate.is_at_robot``: a mux forwards the outputs, so the network need not enforce anything."""
+    fence_hint: ClassVar[str] = ""
+    """A sentence: what whoever closes a gate by hand must know, besides that it is closed; empty if nothing."""
+
+    # -- What users read ------------------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def how_it_switches(self, workload: str) -> str:
+        """Return sentences: what the gate of a workload is, and how a change of it takes effect."""
+
+    @abstractmethod
+    def words_for_admitted(self, standby: str) -> str:
+        """Return a sentence: what it means that the record of a gate admits a standby."""
+
+    def not_covered(self, outputs: Sequence[Output]) -> Sequence[str]:
+        """Return sentences: what gates of this kind do not cover for these outputs of a workload."""
+        return ()
 
     # -- What the gate object does ------------------------------------------------------------------------------------
 

@@ -20,6 +20,9 @@ from understudy.kube.gates import base
 SILENT = 3.0
 """Seconds without a report after which the mux counts as gone. It reports once a second."""
 
+SWITCHED_BY_MUX = "SwitchedByMux"
+"""Reason of the condition GateEnforced while the mux forwards another instance than the gate names, by its standing order."""
+
 NONCES = 16
 """Orders whose nonces count: the mux may answer an earlier one while the next is under way."""
 
@@ -197,6 +200,12 @@ class MuxReports:
         last = found.at - min(ages, default=found.at - first)
         return report.source, CLOCK.to_system(last), CLOCK.to_system(first)
 
+    def _has_switched_for_long(self, found: Received) -> bool:
+        """Return whether the mux has switched by itself, and the monitor had the time to commit that."""
+        token = found.report.token
+        is_of_this_epoch = self._ordered is not None and token.epoch == self._ordered[1].epoch
+        return token.count > 0 and is_of_this_epoch and CLOCK.now() - found.forwarding_since > SILENT
+
     def reported(self, active: str) -> base.Report:
         """Return status, reason and message of the condition GateEnforced."""
         if self.is_silent or self.latest is None:
@@ -206,7 +215,7 @@ class MuxReports:
                 "False",
                 "NoMux",
                 "No mux reports at the robot, so nothing that the instances send reaches it. Run understudy-mux beside the robot's drivers "
-                "(docs/mux.md), and check whether its pod and this monitor are in the same ROS domain.",
+                "(docs/mux.md), and check whether it and this monitor are in the same ROS domain: understudy doctor NAME.",
             )
         report = self.latest.report
         if report.on_board:
@@ -218,6 +227,13 @@ class MuxReports:
             )
         if report.refused:
             return "False", "OrderRefused", f"The mux at the robot refuses the order of this monitor: {report.refused}."
+        if report.source != active and self._has_switched_for_long(self.latest):
+            return (
+                "Unknown",
+                SWITCHED_BY_MUX,
+                f"The mux at the robot has switched to {report.source} by itself (spec.gate.reflex), while the gate still names "
+                f"{active or 'nobody'}. The monitor commits that to the gate, but not while the workload is paused.",
+            )
         if report.source != active:
             return "Unknown", "Settling", "The gate has just changed, and the mux has not reported it yet."
         if report.strangers:
@@ -225,7 +241,8 @@ class MuxReports:
                 "False",
                 "BesideTheMux",
                 f"These writers reach the robot beside the mux: {'; '.join(report.strangers)}. A process of an instance without the DDS "
-                "profile of its pod does that, and so does a tool.",
+                "profile of its pod does that, and so does a tool. Name a node that may do it, such as one for teleoperation, in "
+                "spec.gate.mux.allowedNodes.",
             )
         who = f"forwards {active} and nobody else" if active else "forwards nobody"
         return "True", "ReportedByMux", f"The mux at the robot reports that it {who}."

@@ -40,6 +40,11 @@ class ReflexTakeover:
         return spec is not None and spec.gate.is_at_robot
 
     @property
+    def switcher(self) -> str:
+        """Who switches to the standby, for messages."""
+        return "the mux" if self.is_at_robot else "the robot's readers"
+
+    @property
     def topics(self) -> Sequence[str]:
         """The topics of the workload's outputs."""
         spec = self._view.spec

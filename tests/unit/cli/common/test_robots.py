@@ -30,6 +30,14 @@ def test_a_healthy_robot_has_no_problems() -> None:
     assert found.last_recovery.ended == fleet.ago(252.6 - 0.561)
 
 
+def test_a_robot_with_a_mux_is_well_and_a_switch_that_nobody_commits_is_reported() -> None:
+    found = robot(fleet.muxed())
+    assert (found.gate, found.active, found.problems) == ("Mux", "robot-17-navigation-x8v2m", [])
+    assert robot(fleet.well()).gate == "NetworkPolicy"
+    switched = robot(fleet.muxed(condition("GateEnforced", "Unknown", "SwitchedByMux")))
+    assert [problem.reason for problem in switched.problems] == ["SwitchedByMux"]
+
+
 def test_a_degraded_robot_is_well_and_reported() -> None:
     found = robot(fleet.degraded())
     assert found.is_well

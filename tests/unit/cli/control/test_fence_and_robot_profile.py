@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import re
 import shlex
 from pathlib import Path
@@ -48,6 +49,18 @@ def test_fence_closes_the_gate_and_pauses_recovery(stand: FakeKubectl, capsys: p
     assert f"understudy resume {ROBOT}" in output
     written = [line for line in stand.asked if line.startswith("patch ")]
     assert "robotworkloads" in written[0], "a monitor that knows of no pause would open it again"
+
+
+def test_fence_of_a_robot_with_a_mux_says_when_it_has_an_effect(
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str]
+) -> None:
+    item = fleet.muxed()
+    stand.tell(fleet.around(item))
+    assert fence.main([ROBOT, *REASON, "--yes"]) == 0
+    assert registry.of(item).let_through(stand.item(GATE)) == ()
+    output = capsys.readouterr().out
+    assert output.startswith(f"fleet/{ROBOT}: gate closed at epoch 42 (fenced: {ROBOT}-x8v2m).")
+    assert "stop the mux" in output
 
 
 def test_a_closed_gate_is_written_too_so_that_commits_under_way_are_refused(
@@ -126,7 +139,8 @@ def test_a_missing_gate_is_reported(stand: FakeKubectl, capsys: pytest.CaptureFi
 def given_out(item: dict[str, Any]) -> list[dict[str, Any]]:
     """What the operator writes for the robot's side."""
     spec = RobotWorkloadSpec.model_validate(item["spec"])
-    maps = ros_environment.config_maps(ROBOT, MIDDLEWARE.environment(spec.ros, "10.96.0.7"), spec.outputs, spec.gate)
+    environment = MIDDLEWARE.environment(spec.ros, "10.96.0.7")
+    maps = ros_environment.config_maps(ROBOT, environment, spec.outputs, spec.gate, fleet.NAMESPACE)
     return [item, *maps]
 
 
@@ -175,6 +189,23 @@ def test_a_robot_with_its_own_address_and_discovery_server_gets_its_profile(
     assert robot_profile.main([ROBOT]) == 0
     output = capsys.readouterr().out
     assert_golden("control", output, "spec.gate.robots", "10.20.17.4/32", "10.20.0.5:11811")
+
+
+def test_a_robot_with_a_mux_gets_the_environment_of_both_and_no_profile(
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    stand.tell(given_out(fleet.muxed()))
+    assert robot_profile.main([ROBOT]) == 0
+    output = capsys.readouterr().out
+    assert_golden("control", output, f"/etc/understudy/{ROBOT}/mux.env", f"{ROBOT}-mux", f"understudy-mux@{ROBOT}")
+    assert MIDDLEWARE.settings_variable not in output
+    assert robot_profile.main([ROBOT, "--write", str(tmp_path)]) == 0
+    capsys.readouterr()
+    variables = dict(line.split("=", 1) for line in (tmp_path / "mux.env").read_text().splitlines())
+    assert json.loads(variables[names.OUTPUTS_VARIABLE]) == [{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}]
+    assert "ROS_DISCOVERY_SERVER=10.96.0.7:11811\n" in (tmp_path / "ros.env").read_text()
+    assert robot_profile.main([ROBOT, "-o", "xml"]) == 2
+    assert "needs no profiles.xml" in capsys.readouterr().err
 
 
 def test_without_a_profile_of_the_operator_nothing_is_printed(

@@ -10,6 +10,7 @@ from tests.support import fleet
 from understudy.cli.inspect.cluster_observation import WorkloadObjects, observed_from
 from understudy.cli.inspect.explanation import Facts, lines
 from understudy.kube.client import Object
+from understudy.kube.gates import registry
 
 
 class Nothing:
@@ -27,7 +28,7 @@ class Nothing:
 def known(item: Object, items: list[Object] | None = None, *events: Object) -> Facts:
     observed = observed_from(item, items if items is not None else fleet.around(item), Nothing())
     others = [one for one in items or [] if one["kind"] == "RobotWorkload"]
-    gates = {one["metadata"]["name"]: one for one in items or [] if one["kind"] == "NetworkPolicy"}
+    gates = {one["metadata"]["name"]: one for one in items or [] if one["kind"] in registry.OBJECT_KINDS}
     return Facts.of(WorkloadObjects(dataclasses.replace(observed, now=fleet.NOW), events, others, gates))
 
 

@@ -10,6 +10,7 @@ from tests.support import fleet
 from tests.support.golden import assert_golden
 from tests.unit.cli.inspect.explanation_lines import explained_lines, known
 from tests.unit.controller import world
+from understudy.api import names
 from understudy.cli.common.robots import UNWATCHED
 from understudy.cli.inspect.explanation import for_scripts, lines
 
@@ -331,3 +332,21 @@ def test_a_dependency_is_recovering_as_soon_as_its_gate_reports_it() -> None:
     assert explained_lines(known(item, around))["Dependencies"][0].startswith(
         "✗ depends on robot-17-navigation (Recovering)."
     )
+
+
+def test_a_robot_with_a_mux_is_explained_by_its_mux() -> None:
+    outputs = [
+        {"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"},
+        {"service": "/dock", "type": "std_srvs/srv/Trigger"},
+    ]
+    item = fleet.muxed(outputs=outputs, gate={"kind": "Mux", "reflex": {"deadline": "200ms"}})
+    items = fleet.around(item)
+    (gate,) = (one for one in items if one["kind"] == "Lease")
+    gate["metadata"]["annotations"][names.ADMITTED] = "robot-17-navigation-w7h5k"
+    text = explained_lines(known(item, items))
+    (admitted,) = (line for line in text[""] if "w7h5k" in line)
+    (switches,) = (line for line in text["If it failed now"] if "Lease" in line)
+    (served,) = (line for line in text["Not covered"] if "/dock" in line)
+    assert_golden("explain", [admitted, switches, served])
+    assert "the mux switches to standby" in admitted
+    assert not any("NetworkPolicy" in line for lines in text.values() for line in lines)

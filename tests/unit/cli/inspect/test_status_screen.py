@@ -99,7 +99,7 @@ def test_colours_do_not_change_text_or_alignment() -> None:
 
 def test_wide_output_has_more_columns_and_is_not_shortened() -> None:
     head = screen_lines(40, wide=True)[0]
-    assert head.split()[-5:] == ["RECOVERIES", "NEXT", "SITUATION", "POLICY", "AGE"]
+    assert head.split()[-5:] == ["NEXT", "SITUATION", "POLICY", "GATE", "AGE"]
 
 
 def test_namespaces_are_shown_if_all_are_selected() -> None:

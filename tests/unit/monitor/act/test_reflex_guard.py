@@ -261,6 +261,16 @@ async def test_a_clock_that_is_set_back_does_not_shut_out_a_standby(world: World
     assert await world.keep() == ("True", "Armed")
 
 
+async def test_with_a_mux_too_short_a_deadline_would_make_the_mux_switch() -> None:
+    world = World()
+    world.objects.put_workload(gate={"kind": "Mux", "reflex": {"deadline": "100ms"}})
+    for name in ("w-1", "w-2"):
+        world.strength(name)
+    world.arrives("w-1", *(world.now - 3 + 0.2 * number for number in range(15)))
+    assert await world.keep() == ("False", "DeadlineTooShort")
+    assert "the mux would switch" in world.message
+
+
 async def test_with_a_mux_a_ready_standby_is_admitted_whatever_the_strength_of_its_writers() -> None:
     world = World()
     world.objects.put_workload(gate={"kind": "Mux", "reflex": {"deadline": "100ms"}})

@@ -6,10 +6,11 @@ is. The monitor passes on what the Lease says (understudy.api.protocol.mux_messa
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from understudy.api import names
+from understudy.api.kinds.robot_workload import Output
 from understudy.kube.client import LEASES, Object, Resource
 from understudy.kube.gates.base import GateKind, Reach
 from understudy.kube.gates.mux_reports import MuxReports
@@ -21,6 +22,35 @@ class MuxGate(GateKind):
     kind = "Mux"
     object_kind = "Lease"
     resource = LEASES
+    page = "docs/mux.md"
+    is_at_robot = True
+    fence_hint = (
+        "The monitor passes this on to the mux at the robot, which forwards as before until then. To stop the robot without the monitor, "
+        "stop the mux."
+    )
+
+    def how_it_switches(self, workload: str) -> str:
+        """Return that one write switches, and that the monitor orders the mux to follow it."""
+        return (
+            f"The gate is Lease {names.gate(workload)}: one write to it switches. The monitor then orders the mux at the robot to forward "
+            "the new instance, and the mux drops what that instance sent before. While monitor and mux are not connected, the mux "
+            "forwards as before."
+        )
+
+    def words_for_admitted(self, standby: str) -> str:
+        """Return that the mux may switch to the standby."""
+        return (
+            f"If the active instance falls silent, the mux switches to standby {standby} by itself (spec.gate.reflex)."
+        )
+
+    def not_covered(self, outputs: Sequence[Output]) -> Sequence[str]:
+        """Return that an instance must not serve an output."""
+        served = [output.name for output in outputs if not output.topic]
+        if not served:
+            return ()
+        return (
+            f"The mux forwards requests to the robot only. If an instance serves {', '.join(served)}, nobody reaches that server.",
+        )
 
     def routing(self, workload: str, active: str, admitted: str = "") -> Object:
         """Return merge patch fields of the holder. An admitted standby is in the record only: the mux may switch to it by itself."""

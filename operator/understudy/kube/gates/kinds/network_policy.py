@@ -34,6 +34,18 @@ class NetworkPolicyGate(GateKind):
 
     kind = object_kind = "NetworkPolicy"
     resource = NETWORK_POLICIES
+    page = "docs/how-to/network-policies.md"
+
+    def how_it_switches(self, workload: str) -> str:
+        """Return that one write switches, and the network does the rest."""
+        return (
+            f"The gate is NetworkPolicy {names.gate(workload)}: one write to it switches, and the network enforces that on the nodes "
+            "of both pods."
+        )
+
+    def words_for_admitted(self, standby: str) -> str:
+        """Return that packets of the standby pass too."""
+        return f"The gate also admits standby {standby} (spec.gate.reflex)."
 
     def routing(self, workload: str, active: str, admitted: str = "") -> Object:
         """Return merge patch fields of the pod selector. Each of its two forms removes the other."""

@@ -175,8 +175,8 @@ class ReflexGuard:
             if gap := longest_gap(self._observer.arrivals(topic, active.name), self._takeover.deadline):
                 return (
                     f"{topic} of {active.name} repeatedly has gaps of up to {gap * 1000:.0f} ms; "
-                    f"spec.gate.reflex.deadline is {self._takeover.deadline * 1000:g} ms, so the robot's readers would switch to a standby "
-                    "although nothing failed. Set a deadline of at least twice the period at which the topic is published."
+                    f"spec.gate.reflex.deadline is {self._takeover.deadline * 1000:g} ms, so {self._takeover.switcher} would switch to a "
+                    "standby although nothing failed. Set a deadline of at least twice the period at which the topic is published."
                 )
         return ""
 

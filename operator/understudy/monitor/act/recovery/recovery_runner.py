@@ -69,7 +69,7 @@ class RecoveryStart:
         state = self._gate.state
         failed = [PodIdentity(name=state.active, uid=state.active_uid)] if not state.closed else []
         if failure.taken is not None:
-            return reflex.begin(failure.taken, failed[0], self._takeover.deadline)
+            return reflex.begin(failure.taken, failed[0], self._takeover.deadline, self._takeover.switcher)
         if failure.follows and failed:
             if prepared is not None:
                 self._garbage.add(prepared)

@@ -1,0 +1,56 @@
+"""Finds the container of a mux in a pod, and what it lacks. The pod may be any text that somebody wrote."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import PurePosixPath
+from typing import Any
+
+from understudy.api import names
+from understudy.cli.manifests.manifest_reader import at, items
+
+_TOKEN_DIR = str(PurePosixPath(names.MUX_TOKEN_FILE).parent)
+
+
+def path(spec: object, config_map: str) -> str:
+    """Return the path of the container below a pod's spec that has the environment of a ConfigMap; empty if none has it."""
+    return next((where for where, one in _containers(spec) if _has_environment(one, config_map)), "")
+
+
+def problems(spec: object, workload: str) -> Iterator[str]:
+    """Yield what the mux of a workload lacks in a pod, as sentences."""
+    mux = names.mux(workload)
+    container = next((one for _, one in _containers(spec) if _has_environment(one, mux)), None)
+    if container is None:
+        return
+    if not _has_environment(container, names.robot_env(workload)):
+        yield (
+            f"the mux does not join the robot's ROS graph, because it lacks the environment of ConfigMap {names.robot_env(workload)}: add "
+            "it to envFrom"
+        )
+    mounted = {
+        at(one, "name"): str(at(one, "mountPath")).rstrip("/")
+        for one in items(container, "volumeMounts")
+        if isinstance(at(one, "name"), str)
+    }
+    variables = {at(one, "name") for one in items(container, "env") if isinstance(at(one, "name"), str)}
+    secrets = [at(one, "name") for one in items(spec, "volumes") if at(one, "secret", "secretName") == mux]
+    is_mounted = any(isinstance(one, str) and mounted.get(one) == _TOKEN_DIR for one in secrets)
+    if names.MUX_TOKEN_VARIABLE not in variables and not is_mounted:
+        yield f"the mux has no token: mount a volume with Secret {mux} at {_TOKEN_DIR}"
+    if names.MUX_STATE_VARIABLE not in variables and names.STATE_DIR not in mounted.values():
+        yield (
+            f"the mux forgets whom it forwards when its container restarts, and forwards nobody until the monitor's next order: mount a "
+            f"volume at {names.STATE_DIR}"
+        )
+
+
+def _containers(spec: object) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    for kind in ("containers", "initContainers"):
+        for number, one in enumerate(items(spec, kind)):
+            if isinstance(one, Mapping):
+                yield f"{kind}[{number}]", one
+
+
+def _has_environment(container: object, config_map: str) -> bool:
+    return any(at(one, "configMapRef", "name") == config_map for one in items(container, "envFrom"))
