@@ -77,15 +77,19 @@ class _Stand:
         orders, reports = topics("bench", "w")
         self._exchange = TextExchange(Graph("bench"), ArrivalWakeups(), reads=reports, writes=orders)
         self._epochs, self._nonces = itertools.count(1), itertools.count(1)
+        self._name = ""
+        """What the mux is called in orders, by its reports."""
 
     def order(self, source: str, *, standing: bool = False) -> float:
         """Order whom the mux forwards from now on. Returns when, in monotonic seconds."""
-        from understudy.api.protocol.mux_messages import Order, StandingOrder, Token, order_text
+        from understudy.api.protocol.mux_messages import Order, StandingOrder, Token, order_text, read_report
 
+        for report in self._exchange.received():
+            self._name = read_report(report, self._keys).mux
         successor = next(one for one in INSTANCES if one != source)
         planned = StandingOrder((successor,), {MUXED: SILENCE}) if standing else StandingOrder()
         # The greatest token: this monitor knows every switch of the mux.
-        order = Order(1.0, next(self._epochs), source, Token(2.0), planned)
+        order = Order(1.0, next(self._epochs), source, Token(2.0), planned, mux=self._name)
         text = order_text(order, str(next(self._nonces)), self._keys)
         at = time.monotonic()
         self._exchange.publish(text)

@@ -77,6 +77,17 @@ def ordered(control: Control, order: Order) -> Control:
     return Control(order.token, order.source, order.source, order.standing, order.revision)
 
 
+def aside(control: Control, order: Order) -> Control:
+    """Return the control of a mux after an order for another mux of the workload: it forwards nobody until an order is for it again.
+
+    Raises Refused if the order is older than the control.
+    """
+    if order.token < replace(control.token, count=0):
+        raise Refused(f"the order is for another mux, {order.mux}, and older than what this one has carried out")
+    # An order of the same epoch for this mux is carried out again.
+    return Control(replace(order.token, epoch=order.epoch - 1))
+
+
 def _counted(token: Token) -> Token:
     return replace(token, count=token.count + 1)
 

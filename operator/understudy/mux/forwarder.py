@@ -16,7 +16,7 @@ from typing import Any, Protocol
 
 from understudy.api.protocol.agent_messages import ProtocolError
 from understudy.api.protocol.mux_messages import MuxKeys, Report, SafeCommand, read_order, report_text
-from understudy.mux.control import Control, Heard, Refused, due_at, ordered, switched, undriven_at
+from understudy.mux.control import Control, Heard, Refused, aside, due_at, ordered, switched, undriven_at
 
 _logger = logging.getLogger(__name__)
 
@@ -63,10 +63,13 @@ class Forwarder:
         routes: Iterable[Route],
         keys: MuxKeys,
         journal: Journal,
+        identity: str = "",
         *,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        """``identity`` is what orders call this mux."""
         self._routes, self._keys, self._journal, self._clock = tuple(routes), keys, journal, clock
+        self._identity = identity
         self.control = journal.load()
         self.instances: Mapping[bytes, str] = {}
         """The instance of each writer that discovery has reported; empty for a writer of no instance."""
@@ -163,8 +166,10 @@ class Forwarder:
             return
         self.drain()
         self._nonce, self._refused, self.changed = nonce, "", True
+        if found.mux != self._identity and not found.mux:
+            return  # the monitor learns by the report that this mux is there
         try:
-            control = ordered(self.control, found)
+            control = ordered(self.control, found) if found.mux == self._identity else aside(self.control, found)
         except Refused as error:
             self._refused = str(error)
             _logger.info("an order is refused: %s", error)
@@ -201,6 +206,7 @@ class Forwarder:
                 control.revision,
                 control.on_board,
                 self._safe_sent,
+                self._identity,
             ),
             self._keys,
         )

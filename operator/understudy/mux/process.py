@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import math
 import os
+import secrets
 import signal
 import sys
 import time
@@ -87,7 +89,9 @@ async def _run(
         loop.add_signal_handler(number, stopping.set)
     graph, wakeups = Graph("understudy_mux_" + names.in_ros(workload)), ArrivalWakeups()
     ways = routes(outputs, graph, wakeups)
-    forwarder = Forwarder(ways, derive(token, namespace, workload), ControlJournal(state / "control.json"))
+    forwarder = Forwarder(
+        ways, derive(token, namespace, workload), ControlJournal(state / "control.json"), _identity(state)
+    )
     orders, reports = topics(namespace, workload)
     texts = ArrivalWakeups()
     exchange = TextExchange(graph, texts, reads=orders, writes=reports)
@@ -114,6 +118,16 @@ async def _run(
     for readable in (wakeups, texts):
         loop.remove_reader(readable.descriptor)
     _logger.info("ended")
+
+
+def _identity(state: Path) -> str:
+    """Return what orders call this mux, the same after each start."""
+    path = state / "identity"
+    with contextlib.suppress(FileNotFoundError):
+        if found := path.read_text():
+            return found
+    path.write_text(found := secrets.token_hex(8))
+    return found
 
 
 class _Work:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -10,8 +11,10 @@ from hypothesis import strategies as st
 
 from understudy.api.protocol.agent_messages import ProtocolError
 from understudy.api.protocol.mux_messages import (
+    OnBoard,
     Order,
     Report,
+    SafeCommand,
     StandingOrder,
     Token,
     derive,
@@ -26,6 +29,7 @@ from understudy.api.protocol.session_keys import NotAuthentic
 KEYS = derive(b"token", "fleet", "robot-17")
 TOKENS = st.builds(Token, st.floats(0, 2e9), st.integers(0, 2**31), st.integers(0, 100))
 LENGTHS = st.floats(0, 1e6)
+NAMES = st.text(max_size=10)
 OUTPUTS = st.dictionaries(st.text(max_size=10), LENGTHS, max_size=3)
 ORDERS = st.builds(
     Order,
@@ -33,8 +37,16 @@ ORDERS = st.builds(
     st.integers(0, 2**31),
     st.text(max_size=20),
     TOKENS,
-    st.builds(StandingOrder, st.lists(st.text(max_size=20), max_size=3).map(tuple), OUTPUTS),
+    st.builds(
+        StandingOrder,
+        st.lists(NAMES, max_size=3).map(tuple),
+        OUTPUTS,
+        st.none() | st.builds(OnBoard, NAMES, OUTPUTS),
+        st.lists(st.builds(SafeCommand, NAMES, st.just({"a": [1.5, {"b": "now"}]}), LENGTHS), max_size=2).map(tuple),
+        st.just(0.25),
+    ),
     st.integers(0, 100),
+    NAMES,
 )
 REPORTS = st.builds(
     Report,
@@ -49,9 +61,10 @@ REPORTS = st.builds(
 )
 
 
-@given(ORDERS, st.text(max_size=20))
+@given(ORDERS, NAMES)
 def test_an_order_is_read_as_it_was_written(order: Order, nonce: str) -> None:
-    assert read_order(order_text(order, nonce, KEYS), KEYS) == (order, nonce)
+    standing = order.standing if order.standing.safe else replace(order.standing, safe_after=0.0)
+    assert read_order(order_text(order, nonce, KEYS), KEYS) == (replace(order, standing=standing), nonce)
 
 
 @given(REPORTS)

@@ -194,3 +194,19 @@ def test_the_instance_on_board_is_no_switch_that_anybody_commits(reports: MuxRep
     assert reports.driven_on_board(5) is not None
     assert reports.driven_on_board(6) is None
     assert reports.reported("w-1")[:2] == ("False", "OnBoard")
+
+
+def test_one_of_two_muxes_counts_until_it_is_silent(reports: MuxReports, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = CLOCK.now()
+    monkeypatch.setattr(CLOCK, "now", lambda: now)
+    reports.add(replace(REPORT, mux="m-1"))
+    assert (reports.mux, reports.wanted.is_set()) == ("m-1", True), "an order that names it is due at once"
+    reports.add(replace(REPORT, mux="m-2", source=""))
+    assert reports.mux == "m-1"
+    status, reason, message = reports.reported("w-1")
+    assert (status, reason) == ("False", "TwoMuxes")
+    assert "m-2 forwards nobody" in message
+    now += mux_reports.SILENT + 0.1
+    reports.add(replace(REPORT, mux="m-2"))
+    assert reports.mux == "m-2"
+    assert reports.reported("w-1")[:2] == ("True", "ReportedByMux")

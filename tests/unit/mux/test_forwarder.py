@@ -62,13 +62,13 @@ class GivenTopic:
 class Stand:
     """One workload's mux, at a time that a test says."""
 
-    def __init__(self, folder: Path) -> None:
-        self.topic, self.now, self._folder = GivenTopic(), 100.0, folder
+    def __init__(self, folder: Path, identity: str = "") -> None:
+        self.topic, self.now, self._folder, self._identity = GivenTopic(), 100.0, folder, identity
         self.start()
 
     def start(self) -> None:
         journal = ControlJournal(self._folder / "control.json")
-        self.mux = Forwarder([self.topic], KEYS, journal, clock=lambda: self.now)
+        self.mux = Forwarder([self.topic], KEYS, journal, self._identity, clock=lambda: self.now)
         self.mux.instances = {GIDS["w-1"]: "w-1", GIDS["w-2"]: "w-2", GIDS["robot"]: ""}
 
     def order(self, order: Order, nonce: str = "n") -> Report:
@@ -294,3 +294,17 @@ def test_an_order_of_somebody_else_is_ignored(stand: Stand) -> None:
     stand.mux.order(order_text(ORDER, "n", derive(b"other", "fleet", "w")))
     assert stand.report.source == ""
     assert stand.report.nonce == ""
+
+
+def test_a_mux_carries_out_orders_that_name_it_and_forwards_nobody_after_one_for_another(tmp_path: Path) -> None:
+    stand = Stand(tmp_path, identity="m-1")
+    report = stand.order(ORDER)
+    assert (report.mux, report.nonce, report.source) == ("m-1", "n", ""), "the monitor learns which mux there is"
+    assert stand.order(replace(ORDER, mux="m-1")).source == "w-1"
+    assert "older than what this one has carried out" in stand.order(replace(ORDER, epoch=4, mux="m-2")).refused
+    assert stand.report.source == "w-1"
+    assert stand.order(replace(ORDER, mux="m-2")).source == ""
+    stand.start()
+    stand.after(0.1, "w-1")
+    assert stand.topic.forwarded == [], "also after a restart"
+    assert stand.order(replace(ORDER, mux="m-1")).source == "w-1", "the other one is gone"

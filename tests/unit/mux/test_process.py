@@ -92,8 +92,9 @@ class Stand:
         return node
 
     def order(self, order: Order) -> Report:
-        """Send an order until the mux has received it."""
+        """Send an order until the mux has received it. It names the mux."""
         nonce = os.urandom(4).hex()
+        order = replace(order, mux=self.report().mux)
         end = time.monotonic() + 30
         while time.monotonic() < end:
             print(order_text(order, nonce, KEYS), file=self.monitor.stdin, flush=True)

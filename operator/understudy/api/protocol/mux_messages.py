@@ -116,6 +116,8 @@ class Order:
     standing: StandingOrder = StandingOrder()
     revision: int = 0
     """Grows with each standing order of one epoch."""
+    mux: str = ""
+    """The identity of the only mux that carries this out; empty if the monitor has heard none yet."""
 
     @property
     def token(self) -> Token:
@@ -169,6 +171,8 @@ class Report:
     """Whether it forwards the instance on board."""
     safe_sent: int = 0
     """Number of safe commands that it has sent since it began."""
+    mux: str = ""
+    """The identity of this mux: the same after a restart, unless its volume is gone."""
 
 
 def sealed(message: Mapping[str, Any], key: bytes) -> str:
@@ -198,6 +202,7 @@ def order_text(order: Order, nonce: str, keys: MuxKeys) -> str:
         "knows": _token(order.knows),
         "standing": standing_message(order.standing),
         "revision": order.revision,
+        "mux": order.mux,
         "nonce": nonce,
     }
     return sealed(message, keys.orders)
@@ -215,6 +220,7 @@ def read_order(text: str, keys: MuxKeys) -> tuple[Order, str]:
             Token(*message["knows"]),
             read_standing(message["standing"]),
             message["revision"],
+            message["mux"],
         )
         return order, message["nonce"]
     except (KeyError, TypeError, ValueError) as error:
@@ -236,6 +242,7 @@ def report_text(report: Report, keys: MuxKeys) -> str:
         "revision": report.revision,
         "onBoard": report.on_board,
         "safeSent": report.safe_sent,
+        "mux": report.mux,
     }
     return sealed(message, keys.reports)
 
@@ -257,6 +264,7 @@ def read_report(text: str, keys: MuxKeys) -> Report:
             message["revision"],
             message["onBoard"],
             message["safeSent"],
+            message["mux"],
         )
     except (KeyError, TypeError, ValueError) as error:
         raise ProtocolError(f"the report is of another version: {error!r}") from error

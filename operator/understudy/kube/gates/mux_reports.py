@@ -57,6 +57,8 @@ class MuxReports:
         self._nonces: OrderedDict[str, int] = OrderedDict()
         """Those of the recent orders, with the epoch of each."""
         self._acknowledged: dict[str, float] = {}
+        self._rival: tuple[str, float] = ("", -math.inf)
+        """Another mux that reports, and when it last did."""
         self._idle_since: float | None = None
         """Since when the mux has reported that it forwarded nothing of the instance to which it had switched by itself."""
         self._changed = asyncio.Event()
@@ -75,6 +77,11 @@ class MuxReports:
         """Note a report that is authentic, if it answers a recent order."""
         if report.nonce not in self._nonces:
             return
+        if self.mux and report.mux != self.mux and not self.is_silent:
+            self._rival = report.mux, CLOCK.now()
+            return
+        if report.mux != self.mux:
+            self.wanted.set()  # no mux carries out an order that does not name it
         self.latest = Received(report, CLOCK.now())
         is_idle = bool(report.token.count) and not report.forwarded
         self._idle_since = (self._idle_since or self.latest.at) if is_idle else None
@@ -90,6 +97,11 @@ class MuxReports:
         (uid, order), report = self._ordered, self.latest.report
         is_carried_out = report.token >= order.token and report.source == order.source
         return uid if is_carried_out and uid else None
+
+    @property
+    def mux(self) -> str:
+        """The identity of the mux that reports; empty if none has. Another one replaces it when it is silent."""
+        return self.latest.report.mux if self.latest is not None else ""
 
     @property
     def is_silent(self) -> bool:
@@ -233,6 +245,14 @@ class MuxReports:
                 SWITCHED_BY_MUX,
                 f"The mux at the robot has switched to {report.source} by itself (spec.gate.reflex), while the gate still names "
                 f"{active or 'nobody'}. The monitor commits that to the gate, but not while the workload is paused.",
+            )
+        rival, at = self._rival
+        if CLOCK.now() - at <= SILENT:
+            return (
+                "False",
+                "TwoMuxes",
+                f"Two muxes of this workload report: {report.mux} carries out the orders, and {rival} forwards nobody. Stop one of them: "
+                "each robot has one mux.",
             )
         if report.source != active:
             return "Unknown", "Settling", "The gate has just changed, and the mux has not reported it yet."

@@ -163,7 +163,7 @@ class MuxOrders:
         of, nonce, at, knew = self._sent
         knows, latest = self._knows(record), self._reports.latest
         revision = latest.report.revision + 1 if latest is not None else 0
-        order = Order(created, record.epoch, record.active, knows, self._standing(record), revision)
+        order = Order(created, record.epoch, record.active, knows, self._standing(record), revision, self._reports.mux)
         is_done = nonce == self._answered and self._follows(order)
         if of == changes and knows == knew and now - at < (PERIOD if is_done else AGAIN):
             return
