@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import pytest
+
+from tests.e2e.faults import Network
 from tests.e2e.kubectl import Kubectl, Object
 from tests.e2e.scenario import Robot, eventually, manifest, never, patient
 from tests.e2e.test_strategies import assert_handed_over
@@ -96,6 +99,18 @@ def test_instances_in_the_network_of_their_node_drive_through_the_mux(kubectl: K
     nodes = {pod["spec"]["nodeName"] for pod in robot.pods() if pod["spec"].get("hostNetwork")}
     assert len(nodes) == 2, "each on its own node"
     never([c for c in robot.log().commands if c.source != first], "commands of a standby")
+    robot.fail(first, "frozen")
+    recovery = robot.wait_recovered(1)
+    assert recovery.strategy == "Fallback/Executing", recovery
+    assert_handed_over(robot, recovery)
+
+
+@pytest.mark.local_only
+def test_a_network_that_enforces_no_policy_makes_no_difference(kubectl: Kubectl, network: Network) -> None:
+    for node in kubectl.list("nodes"):
+        network.weaken(node["metadata"]["name"], "--deaf")
+    robot = muxed(kubectl, "executing")
+    first = robot.wait_protected()
     robot.fail(first, "frozen")
     recovery = robot.wait_recovered(1)
     assert recovery.strategy == "Fallback/Executing", recovery
