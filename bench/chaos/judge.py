@@ -28,7 +28,7 @@ DELIVERY = 0.05
 STALL = 0.5
 """Longest time in seconds for which a process may get no processor on a busy machine. Nothing else explains a command that is older."""
 
-LAG = 0.5
+LAG = 0.75
 """Largest delay of the record of a commit, in seconds: the new instance's commands may arrive that much earlier."""
 
 NOTICED = 1.5
@@ -81,6 +81,13 @@ may have given up (kube-controller-manager: "Retry budget exceeded, dropping ser
 
 SERVER_STARTS = 3.0
 """Seconds from when a discovery server's pod is ready until the server starts (understudy.ros.dds.sole_server)."""
+
+ACTIVATED = 5.0 + 2.0
+"""Seconds until a gate that was deleted during a recovery opens again: 5 of silence of the instance that failed, and a margin."""
+
+BLIND, REPLACES = 90.0, 5.0
+"""Seconds after an outage of the API server in which Kubernetes' controllers may see no change, and those that they take to replace a
+pod otherwise."""
 
 STARTED_AGAIN = 60.0
 """Seconds within which a monitor must run again at the latest: Kubernetes waits 10, 20 or 40 s before a container's next start."""
@@ -564,14 +571,43 @@ def gaps(
         given_up = not found and any(not c.let_through and a.received <= c.seen <= b.received for c in seen.commits)
         if given_up or {"Restart", "Fallback/Uninitialized"} & set(tried):
             nobodys += seen.unled  # new pods of pools come from the operator
+        if given_up or "Restart" in tried:
+            nobodys += unreplaced(seen, injected, a, b)
         explained = covered([*waits, *leaked, *nobodys], a.received, b.received)
         allowed = seen.timeout + SWITCH + sum(_allowed(recovery) for recovery in found)
         if given_up and _was_last(seen, injected, a, b):
             allowed += VERIFY_WITHIN["Restart"]
+        if cut_short(seen, injected, a) or cut_short(seen, injected, b):
+            allowed += ACTIVATED
         if not found and _has_just_recovered(seen, a):
             allowed += backoff.FIRST
         strategy = max(found, key=_allowed).strategy if found else ""
         yield a.received, b.received, b.received - a.received - explained, strategy, allowed
+
+
+def cut_short(seen: Seen, injected: Sequence[Injected], command: Command) -> bool:
+    """Return whether a command is of an instance for which the gate had just been opened when somebody deleted it."""
+    at = command.received
+    return any(one.fault.kind == "gate-delete" and one.overlaps(at, at) for one in injected) and any(
+        abs(opened.seen - at) <= LAG
+        and command.source in opened.let_through
+        and not closed.let_through
+        and closed.seen - opened.seen <= REPAIR
+        for opened, closed in pairwise(seen.commits)
+    )
+
+
+def unreplaced(
+    seen: Seen, injected: Sequence[Injected], last: Command, first: Command
+) -> Iterator[tuple[float, float]]:
+    """Yield from when to when a ReplicaSet had not replaced a deleted pod, soon after the API server was away.
+
+    Kubernetes' controllers notice a connection that is half open after up to 45 s, and see no change until then.
+    """
+    deleted, created = seen.deleted.get(last.source, math.inf), seen.created.get(first.source, 0.0)
+    after_outage = any(one.fault.kind in API and one.ended <= deleted <= one.ended + BLIND for one in injected)
+    if after_outage and created - deleted > REPLACES:
+        yield deleted, created
 
 
 def _has_just_recovered(seen: Seen, last: Command) -> bool:

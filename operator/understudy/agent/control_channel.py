@@ -206,7 +206,8 @@ class ControlChannel:
                 await session.end(reason)
 
     async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        host = writer.get_extra_info("peername", ("?",))[0]
+        # None if the other side was gone before the connection was accepted.
+        host = (writer.get_extra_info("peername") or ("?",))[0]
         try:
             self._limit_silence(writer)
             async with asyncio.timeout(GREETING):

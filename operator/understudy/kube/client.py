@@ -373,6 +373,8 @@ class Client:
         data: bytes | None = None,
     ) -> bytes:
         assert self._session is not None, "use the client as an asynchronous context manager"
+        if self._session.closed:  # a task may outlive the client for a moment while the process ends
+            raise aiohttp.ClientConnectionError("the client is closed")
         status, is_aggregated = None, path.startswith(_AGGREGATED)
         try:
             with contextlib.nullcontext() if is_aggregated else self.contact.asking():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Mapping
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -96,3 +96,24 @@ async def test_a_request_that_was_held_back_counts_as_one_that_was_lost(
     finally:
         await link.close()
     assert agent.carried_out == 1
+
+
+async def test_a_connection_whose_other_side_is_gone_already_is_closed() -> None:
+    closed = False
+
+    class Gone:
+        """The kernel does not know any more who it was."""
+
+        transport = None
+
+        def get_extra_info(self, name: str, default: Any = None) -> None:
+            return None
+
+        def close(self) -> None:
+            nonlocal closed
+            closed = True
+
+    reader = asyncio.StreamReader()
+    reader.feed_eof()
+    await ControlChannel(Agent())._connected(reader, cast(Any, Gone()))
+    assert closed

@@ -80,3 +80,10 @@ async def test_requests_are_counted_by_result_and_the_times_of_watch_events_are_
 )
 def test_a_request_is_counted_for_the_resource_of_its_path(path: str, resource: str) -> None:
     assert plural(path) == resource
+
+
+async def test_a_request_after_the_client_was_closed_fails_as_one_without_an_answer(server: str) -> None:
+    async with Client(Access(server, ssl.create_default_context())) as client:
+        pass
+    with pytest.raises(aiohttp.ClientError, match="closed"):
+        await client.get(PODS, "fleet", "a")

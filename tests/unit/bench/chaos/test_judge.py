@@ -589,3 +589,22 @@ def test_a_switch_of_the_mux_s_own_is_explained_by_the_commit_after_it() -> None
     commands = log(drive("a", 1, 10), drive("b", 10.3, 20))
     commits = [Commit(0.0, 1, ("a",)), Commit(15.0, 2, ("b",))]
     assert whats(judged(commands, fault("api-stop", 9.9, 14.5), commits=commits, muxed=True)) == []
+
+
+@pytest.mark.parametrize(("ended", "expected"), [(5.0, []), (-100.0, ["gap"])])
+def test_a_pod_that_kubernetes_replaces_late_after_an_outage_is_nobodys_gap(ended: float, expected: list[str]) -> None:
+    commands = log(drive("a", 1, 10), drive("b", 85, 100))
+    faults = [fault("api-stop", ended - 4.0, ended), replace(fault("delete", 10.0, number=2), told="a ")]
+    more: Any = {"deleted": {"a": 10.0}, "created": {"b": 80.0}, "commits": [
+        Commit(0.0, 1, ("a",)), Commit(10.2, 2, ()), Commit(84.9, 3, ("b",)),
+    ]}  # fmt: skip
+    assert whats(judged(commands, *faults, **more)) == expected
+
+
+@pytest.mark.parametrize(("kind", "expected"), [("gate-delete", []), ("label-remove", ["gap"])])
+def test_a_gate_that_is_deleted_when_it_has_just_opened_opens_again_after_the_silence_of_the_former_instance(
+    kind: str, expected: list[str]
+) -> None:
+    commands = log(drive("a", 1, 10), drive("b", 10.6, 10.7), drive("b", 17, 20))
+    commits = [Commit(0.0, 1, ("a",)), Commit(10.6, 2, ("b",)), Commit(10.8, 3, ()), Commit(17.0, 4, ("b",))]
+    assert whats(judged(commands, KILLED, fault(kind, 9.5, 10.7, number=2), commits=commits)) == expected
