@@ -107,10 +107,10 @@ def test_instances_in_the_network_of_their_node_drive_through_the_mux(kubectl: K
 
 @pytest.mark.local_only
 def test_a_network_that_enforces_no_policy_makes_no_difference(kubectl: Kubectl, network: Network) -> None:
-    for node in kubectl.list("nodes"):
-        network.weaken(node["metadata"]["name"], "--deaf")
     robot = muxed(kubectl, "executing")
     first = robot.wait_protected()
+    for node in kubectl.list("nodes"):
+        network.weaken(node["metadata"]["name"], "--deaf")
     robot.fail(first, "frozen")
     recovery = robot.wait_recovered(1)
     assert recovery.strategy == "Fallback/Executing", recovery

@@ -158,6 +158,7 @@ class Monitor:
             max(self.hindered_at, self.informed_at),
             self.cut_off_at,
             self.knows,
+            self._view is not None and self._view.gate_record is not None,
         )
 
     @property

@@ -41,6 +41,8 @@ class Says:
     """Since when (Unix seconds) it also reaches the API server."""
     knows: frozenset[str] = frozenset()
     """UIDs of the instances that it knows. One that came or went while it was cut off, or before it began, may be a stranger to it."""
+    has_gate: bool = True
+    """Whether it knows a gate object. Without one, nothing says who may drive."""
 
 
 @dataclass
@@ -133,7 +135,7 @@ class Drivers:
         for says in monitors:
             lasts = now - max(since, says.unhindered_since) - 2 * max(found.period for found in self._heard(robot))
             is_stranger = any(found.uid not in says.knows for found in self._heard(robot))
-            may_say = {"False", "Unknown"} if is_stranger else {"False"}
+            may_say = {"False", "Unknown"} if is_stranger or not says.has_gate else {"False"}
             if lasts >= NOTICED and says.health == "Healthy":
                 self._broken(f"{says.who} says that {robot} is Healthy, and {both} drive it for {lasts:.1f} s")
             if says.sole not in may_say and min(lasts, now - says.recovered_at) >= NOTICED:

@@ -49,6 +49,12 @@ PERIOD = 0.2
 
 CONDITION = "SoleDriver"
 
+NO_GATE: ConditionReport = (
+    "Unknown",
+    "NoGate",
+    "The gate object does not exist, so nothing says which instance may drive. The operator creates it again.",
+)
+
 UNKNOWN_SENDER = "UnknownSender"
 """The reason of conditions while a sender reaches the robot that is no known instance."""
 
@@ -386,6 +392,8 @@ class SoleDriver:
 
     def report(self, now: float) -> None:
         """Report the judgement."""
-        judged = judge(self._tracks, self._gate.state.active, now, self._possible.lasting(now))
+        judged = NO_GATE
+        if self._gate.exists:
+            judged = judge(self._tracks, self._gate.state.active, now, self._possible.lasting(now))
         if self._notices.condition(CONDITION, *judged) and judged[0] != "True":
             self._notices.event("Warning", judged[1], judged[2])

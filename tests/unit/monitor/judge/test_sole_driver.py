@@ -285,3 +285,11 @@ def test_while_the_gate_is_closed_the_former_driver_counts() -> None:
     watched.objects.put_gate(GateState(epoch=5))
     watched.listen(topic="/cmd_vel", name="w-2", uid="uid-w-2")
     assert watched.condition[:2] == ("False", "FormerDriver")
+
+
+def test_without_a_gate_nobody_says_who_may_drive() -> None:
+    watched = Watched()
+    gates = watched.objects.view.gates
+    gates.apply_event("DELETED", gates.items[watched.objects.gate_name])
+    watched.listen(topic="/cmd_vel", name="w-1")
+    assert watched.condition[:2] == ("Unknown", "NoGate")
