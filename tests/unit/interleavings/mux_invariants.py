@@ -142,6 +142,7 @@ class MuxInvariants(Invariants):
         """An order was carried out or refused: whom a newer one than all before fences is not forwarded any more."""
         epoch, source = self._received[mux.workload].newest
         control = mux.control
+        self.counts["orders refused for a switch"] += "by itself" in mux.refuses
         if control is not None and not source and control.token.epoch <= epoch and control.source:
             self._broken(f"{mux.process} forwards {control.source}, and epoch {epoch} names nobody")
 

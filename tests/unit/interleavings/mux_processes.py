@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import base64
+import functools
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -144,7 +145,8 @@ class Mux:
         self.last: dict[str, float] = {}
         """When a sample of an instance, given by its name, last arrived at the present process (virtual seconds)."""
         self._known: dict[bytes, str] = {}
-        self._is_woken = False
+        self._ready: set[str] = set()
+        """What has arrived for a process that has not looked yet."""
         self._is_lost = False
 
     @property
@@ -155,6 +157,11 @@ class Mux:
     def runs(self) -> bool:
         """Whether its process can do something now."""
         return self.process is not None and self.process.alive and not self.process.stalled
+
+    @property
+    def refuses(self) -> str:
+        """Why it refused the last order; empty if it did not."""
+        return self.forwarder._refused if self.forwarder is not None else ""
 
     @property
     def is_hindered(self) -> bool:
@@ -173,8 +180,7 @@ class Mux:
         """A process of it starts."""
         loop = self._network.loop
         process = self.process = loop.process(name)
-        self.last, self._known, self._is_woken = {}, {}, False
-        self._heard = set()
+        self.last, self._known, self._heard, self._ready = {}, {}, set(), set()
         follow(process, self._run(process))
 
     def end(self) -> None:
@@ -199,7 +205,7 @@ class Mux:
         self.forwarder, self._route = made, route
         is_lost, self._is_lost = self._is_lost, False
         self.witness.loaded(self, made.control, is_journal_lost=is_lost)
-        exchange = MuxExchange(self.topics, process, lambda: self._work.carry_out())
+        exchange = MuxExchange(self.topics, process, functools.partial(self._wake, "orders"))
         self._work = _Work(made, cast(Any, exchange))
         self.changed()
         await self._work.report()
@@ -225,13 +231,22 @@ class Mux:
         self.last[found.name] = self._network.loop.time()
         self.arrivals += 1
         self._route.queue.append(Sample(found.uid, writer, self.arrivals))
-        if not self._is_woken:
-            self._is_woken = True
-            self._network.loop.call_soon(self._arrived, context=process.context)
+        self._wake("samples")
 
-    def _arrived(self) -> None:
-        self._is_woken = False
-        self._work.done()
+    def _wake(self, ready: str) -> None:
+        process = self.process
+        if process is not None and process.alive:
+            if not self._ready:
+                self._network.loop.call_soon(self._look, context=process.context)
+            self._ready.add(ready)
+
+    def _look(self) -> None:
+        """Read what has arrived. Nothing promises which of two descriptors is read first."""
+        ready, self._ready = sorted(self._ready), set()
+        if len(ready) > 1 and self._network.choices.random() < 0.5:
+            ready.reverse()
+        for one in ready:
+            self._work.done() if one == "samples" else self._work.carry_out()
 
     def _discover(self, writer: bytes, found: Running) -> None:
         self._known[writer] = found.name

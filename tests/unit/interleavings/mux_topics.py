@@ -44,6 +44,14 @@ class Reader:
             yield self.texts.popleft()
 
 
+class MuxReader(Reader):
+    """A mux's, which waits for samples too."""
+
+    def put(self, text: str, network: Network) -> None:
+        self.texts.append(text)
+        self.arrived()
+
+
 class Topics:
     """The topics of one robot. The texts of one writer arrive at a reader in their order."""
 
@@ -137,9 +145,10 @@ class MonitorExchange:
 class MuxExchange:
     """The same in a mux."""
 
-    def __init__(self, topics: Topics, process: Process, arrived: Callable[[], None]) -> None:
+    def __init__(self, topics: Topics, process: Process, ready: Callable[[], None]) -> None:
+        """``ready`` is called whenever a text arrives."""
         self._topics = topics
-        self._reader = topics.mux = Reader(process, arrived)
+        self._reader = topics.mux = MuxReader(process, ready)
 
     def received(self) -> Iterator[str]:
         """Yield the texts that arrived since the last call."""

@@ -342,7 +342,7 @@ class Muxed(Simulation):
         self.robots.reroute()
 
 
-def run(seed: int, *, tracing: bool = False, scene: Scene | None = None) -> Outcome:
+def run(seed: int, *, tracing: bool = False, scene: Scene | None = None, kind: type[Muxed] = Muxed) -> Outcome:
     """The run of a seed. What doesn't hold is in its outcome; with ``tracing`` it also has all that happened."""
     scene = scene or SCENES[seed % len(SCENES)]
-    return simulation.made(Muxed, scene, seed, simulation.prepared(scene, Muxed), tracing=tracing)
+    return simulation.made(kind, scene, seed, simulation.prepared(scene, Muxed), tracing=tracing)

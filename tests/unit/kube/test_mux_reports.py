@@ -177,13 +177,13 @@ def test_an_instance_to_which_the_mux_switched_and_that_does_not_send_is_idle_af
     monkeypatch.setattr(CLOCK, "now", lambda: now)
     silent = replace(REPORT, token=Token(1000.0, 5, 1), source="w-2", forwarded=0, since=math.inf)
     reports.add(silent)
-    assert reports.own_switch("w-1") == OwnSwitch("w-2", is_idle=False)
+    assert reports.own_switch("w-1") == OwnSwitch("w-2", is_idle=False, active_sends=True)
     assert reports.switched("w-1") is None
     now += mux_reports.SILENT
-    reports.add(silent)
-    assert reports.own_switch("w-1") == OwnSwitch("w-2", is_idle=True)
-    reports.add(replace(silent, forwarded=1, since=0.0))
-    assert reports.own_switch("w-1") == OwnSwitch("w-2", is_idle=False)
+    reports.add(replace(silent, heard={"w-1": {"/cmd_vel": 0.05, "/fork": 2.0}}))
+    assert reports.own_switch("w-1") == OwnSwitch("w-2", is_idle=True, active_sends=False)
+    reports.add(replace(silent, forwarded=1, since=0.0, heard={}))
+    assert reports.own_switch("w-1") == OwnSwitch("w-2", is_idle=False, active_sends=False)
     assert reports.own_switch("w-2") is None
 
 

@@ -99,6 +99,8 @@ class OwnSwitch:
     """The name of the instance that is let through since."""
     is_idle: bool
     """Whether nothing of that instance was let through for a while."""
+    active_sends: bool
+    """Whether the active instance is heard there, so that it would drive if it were let through again."""
 
 
 class Proof(Protocol):

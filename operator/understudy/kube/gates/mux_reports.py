@@ -23,6 +23,9 @@ SILENT = 3.0
 SWITCHED_BY_MUX = "SwitchedByMux"
 """Reason of the condition GateEnforced while the mux forwards another instance than the gate names, by its standing order."""
 
+HEARD = 1.0
+"""Seconds within which an instance that sends on all outputs was heard on each."""
+
 NONCES = 16
 """Orders whose nonces count: the mux may answer an earlier one while the next is under way."""
 
@@ -199,7 +202,8 @@ class MuxReports:
         if not report.token.count or report.source == active or report.on_board or not is_answer:
             return None
         is_idle = self._idle_since is not None and found.at - self._idle_since >= SILENT
-        return base.OwnSwitch(report.source, is_idle)
+        ages = report.heard.get(active, {}).values()
+        return base.OwnSwitch(report.source, is_idle, active_sends=bool(ages) and max(ages) < HEARD)
 
     def switched(self, active: str) -> tuple[str, float, float] | None:
         """Return whom the mux forwards by its standing order, when it last heard the active instance, and when it first forwarded the

@@ -412,11 +412,11 @@ class ProbeReceiver:
         """Nothing, as in :meth:`deciding`."""
 
     def carried_out(self, epoch: int) -> int:
-        """Return 0: nodes enforce the gate object, of whatever epoch it is."""
+        """Return 0: packets do not carry epochs."""
         return 0
 
     def own_switch(self, active: str) -> None:
-        """Return None, as :meth:`switched`."""
+        """Return None, as in :meth:`switched`."""
 
     def switched(self, active: str) -> None:
         """Return None: nobody switches at the far side of the gate but the robot's own readers."""

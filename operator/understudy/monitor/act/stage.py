@@ -95,7 +95,7 @@ class ActStage:
 
     def raise_epoch(self) -> None:
         """Have what the gate says carried out at the robot again, if it is not. Returns at once."""
-        if self._raising is None or self._raising.done():
+        if self._cluster.gate.epoch_problem and (self._raising is None or self._raising.done()):
             self._raising = asyncio.create_task(self._cluster.gate.raise_epoch())
 
     async def restore_record(self, progress: Progress) -> None:

@@ -513,8 +513,20 @@ async def test_the_epoch_of_a_gate_that_somebody_deleted_is_raised_over_that_whi
 
 @pytest.mark.parametrize(
     ("switch", "raised"),
-    [(OwnSwitch("w-2", False), False), (OwnSwitch("w-2", True), True), (OwnSwitch("w-9", False), True), (None, False)],
-    ids=["it may drive", "nothing of it is let through", "it is gone", "there is none"],
+    [
+        (OwnSwitch("w-2", is_idle=False, active_sends=True), False),
+        (OwnSwitch("w-2", is_idle=True, active_sends=True), True),
+        (OwnSwitch("w-9", is_idle=False, active_sends=True), True),
+        (OwnSwitch("w-9", is_idle=False, active_sends=False), False),
+        (None, False),
+    ],
+    ids=[
+        "it may drive",
+        "nothing of it is let through",
+        "it is gone",
+        "it is gone, and nobody else sends",
+        "there is none",
+    ],
 )
 async def test_the_gate_is_of_a_new_epoch_if_the_mux_has_switched_in_vain(
     client: MemoryClient,

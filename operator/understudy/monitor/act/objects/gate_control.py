@@ -348,25 +348,33 @@ class GateControl:
         self._report_restored(f"the gate no longer named recovery {id_}: somebody had deleted it")
         return True
 
-    async def raise_epoch(self) -> None:
-        """Give the gate a greater epoch if what it says is not carried out at the robot, and a new order would be.
+    @property
+    def epoch_problem(self) -> str:
+        """Why what the gate says is not carried out at the robot, and would be at a greater epoch; empty if that would not help.
 
-        That is so if an older gate, which somebody deleted, had come further; and if somebody at the robot has switched by itself to an
-        instance that is gone, or of which nothing was let through: it returns to a replaced instance only by an order that knows the
-        switch. Whom the gate names does not change. A failed write is repeated by a later call.
+        An older gate, which somebody deleted, may have come further. And somebody at the robot may have switched by itself to an instance
+        that is gone, or of which nothing was let through: it returns to a replaced instance only by an order that knows the switch.
         """
         record = self.record
         if record is None:
-            return
-        epoch, switch = self._probes.carried_out(record.epoch), self._probes.own_switch(record.active)
-        if switch is not None and record.active and self._is_in_vain(switch):
-            reason = f"{switch.to}, to which the mux at the robot had switched by itself, does not drive"
-        elif epoch:
-            reason = f"epoch {epoch} had been carried out at the robot, and the gate was of epoch {record.epoch}: somebody had deleted it"
-        else:
+            return ""
+        if (
+            (switch := self._probes.own_switch(record.active)) is not None
+            and record.active
+            and self._is_in_vain(switch)
+        ):
+            return f"{switch.to}, to which the mux at the robot had switched by itself, does not drive"
+        if epoch := self._probes.carried_out(record.epoch):
+            return f"epoch {epoch} had been carried out at the robot, and the gate was of epoch {record.epoch}: somebody had deleted it"
+        return ""
+
+    async def raise_epoch(self) -> None:
+        """Give the gate a greater epoch if that would help. Whom it names does not change. A failed write is repeated by a later call."""
+        record, problem = self.record, self.epoch_problem
+        if record is None or not problem:
             return
         self._probes.deciding()
-        epoch = max(epoch, record.epoch) + 1
+        epoch = max(self._probes.carried_out(record.epoch), record.epoch) + 1
         try:
             await self._write_once(self._kind.raising(over=record, epoch=epoch))
         except FAILURES as error:
@@ -374,11 +382,12 @@ class GateControl:
             return
         self._probes.committed(epoch)
         self._notices.set(gate=GateStatus(epoch=epoch, active=record.active))
-        self._report_restored(reason)
+        self._report_restored(problem)
 
     def _is_in_vain(self, switch: OwnSwitch) -> bool:
-        """Whether the instance to which somebody at the gate has switched cannot be put in control."""
-        return switch.is_idle or not any(one.name == switch.to and one.usable for one in self._fleet.of_workload())
+        """Whether the instance to which somebody at the gate has switched cannot be put in control, and the active one drives instead."""
+        is_gone = not any(one.name == switch.to and one.usable for one in self._fleet.of_workload())
+        return switch.active_sends and (switch.is_idle or is_gone)
 
     def _report_restored(self, words: str) -> None:
         _logger.warning("restored the gate: %s", words)
