@@ -45,14 +45,14 @@ def test_the_mux_invariants_hold_in_every_interleaving(first: int) -> None:
         outcome = muxes.run(seed)
         assert not outcome.faults, str(muxes.run(seed, tracing=True))
         counts += Counter(outcome.muxes)
-    assert counts["forwarded"] > 1000 * CHUNK, "it is not about nothing"
+    assert counts["forwarded"] > 500 * CHUNK, "it is not about nothing"
     assert counts["ordered"] > CHUNK
     assert counts["switched"]
     assert counts["switches committed"]
 
 
 def test_a_seed_determines_the_run() -> None:
-    assert "forwards" in observed_alike("muxes", 3_100_001, range(3_000_000, 3_000_003))
+    assert "forwards" in observed_alike("muxes", 3_100_003, range(3_000_000, 3_000_003))
 
 
 # -- the simulation finds faults ------------------------------------------------------------------------------------
