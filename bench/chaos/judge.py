@@ -402,7 +402,7 @@ def ordered_late(seen: Seen, injected: Sequence[Injected], group: Sequence[tuple
     """Return for how long the commands of an instance that no commit lets through arrived at a robot with a mux, if that is explained.
 
     Either nobody passed the order on, because the monitor, what connects it with the mux, or the mux itself stood still. Or the mux
-    switched by itself, and a later commit says so.
+    switched by itself, and a later commit names it.
     """
     first, last = group[0][0], group[-1][0]
     length = last.received - first.received
