@@ -51,12 +51,13 @@ def patient(objects: list[Object], gap: str = "2s") -> list[Object]:
     return objects
 
 
-def mux_pod(workload: str) -> Object:
-    """A pod with nothing but the mux of a workload, as the quickstart's robot has one."""
-    text = yaml.safe_dump(manifest("mux/robot.yaml")[0]["spec"]["template"]["spec"])
-    spec: Object = yaml.safe_load(text.replace("robot-1-drive", workload))
-    spec["containers"] = [one for one in spec["containers"] if one["name"] == "mux"]
-    return {"apiVersion": "v1", "kind": "Pod", "metadata": {"name": f"{workload}-mux"}, "spec": spec}
+def only_mux(workload: str) -> Object:
+    """The Deployment of the quickstart's robot with nothing but the mux of a workload."""
+    text = yaml.safe_dump(manifest("mux/robot.yaml")[0]).replace("robot-1-drive", workload)
+    item: Object = yaml.safe_load(text.replace("robot-1", f"{workload}-robot"))
+    pod = item["spec"]["template"]["spec"]
+    pod["containers"] = [one for one in pod["containers"] if one["name"] == "mux"]
+    return item
 
 
 class Late(AssertionError):

@@ -14,7 +14,7 @@ import pytest
 
 from tests.e2e.conftest import SYSTEM
 from tests.e2e.kubectl import Kubectl, Object
-from tests.e2e.scenario import eventually, mux_pod, never
+from tests.e2e.scenario import eventually, never, only_mux
 
 NODES = Path(__file__).parents[1] / "unit" / "action_proxy" / "nodes.py"
 IMAGE = "localhost/understudy-monitor:dev"
@@ -50,7 +50,7 @@ class Cell:
         config = {"apiVersion": "v1", "kind": "ConfigMap", "metadata": {"name": "nodes"}}
         kubectl.apply(
             [config | {"data": {"nodes.py": NODES.read_text()}}, *self._protection(strategy), self._workload()]
-            + ([mux_pod(NAME)] if gate_kind == "Mux" else [])
+            + ([only_mux(NAME)] if gate_kind == "Mux" else [])
         )
 
     @property
