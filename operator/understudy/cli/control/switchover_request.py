@@ -118,7 +118,9 @@ def _at_the_robot(recovery: Recovery) -> Iterator[str]:
     if moments.first_output is None:
         yield "no outputs were observed, because no monitored topic has outputs at present"
         return
-    if moments.last_output is not None:
+    if moments.last_output is None:
+        yield "outputs of the new instance arrive; it was not observed when the last one of the former instance did"
+    else:
         yield f"no command for {length(max(0.0, unix(moments.first_output) - unix(moments.last_output)))}"
         if moments.fenced is not None and unix(moments.last_output) > unix(moments.fenced) + 0.01:
             late = length(unix(moments.last_output) - unix(moments.fenced))

@@ -141,3 +141,11 @@ def test_without_a_running_monitor_no_switchover_is_requested(
 def test_a_missing_workload_is_reported(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     assert failover.main(["robot-2"]) == 2
     assert "understudy failover: Error from server (NotFound)" in capsys.readouterr().err
+
+
+def test_a_gap_that_nobody_observed_is_not_reported(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
+    found = record()
+    del found["recoveries"][0]["moments"]["lastOutput"]
+    stand.tell([fleet.well()], then=[{}, phase("Done", "It took over.", recovery="r-4") | found])
+    assert failover.main([NAME, "-n", "fleet"]) == 0
+    assert "at the robot: outputs of the new instance arrive; it was not observed" in capsys.readouterr().out
