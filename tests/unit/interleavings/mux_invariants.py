@@ -83,7 +83,7 @@ class MuxInvariants(Invariants):
         self._knew: dict[str, dict[int, Token]] = defaultdict(dict)
         """By workload and epoch, the newest token that the monitor knew when it committed this."""
         self._writers: dict[str, dict[int, str]] = defaultdict(dict)
-        """By workload and epoch, who committed this."""
+        """By workload and epoch, who committed this, unless it opened a gate for the first time: no recovery does that."""
         self._unrecorded: dict[str, dict[tuple[str, str], str]] = defaultdict(dict)
         """By workload, the instances between which a mux has switched, and who committed that."""
         self._recorded: dict[str, set[str]] = defaultdict(set)
@@ -107,7 +107,9 @@ class MuxInvariants(Invariants):
             before = GateRecord.of(old) if old is not None else None
             if before is None or (before.epoch, before.active_uid) != (record.epoch, record.active_uid):
                 self._note(workload, record)
-                self._knew[workload][record.epoch], self._writers[workload][record.epoch] = self._known(by), by
+                self._knew[workload][record.epoch] = self._known(by)
+                if record.recovery or (before is not None and before.active):
+                    self._writers[workload][record.epoch] = by
         elif plural == "robotworkloads" and new is not None:
             for recovery in (new.get("status") or {}).get("recoveries") or []:
                 pods = {recovery.get("toPod", ""), *(one.get("pod", "") for one in recovery.get("attempts") or [])}
@@ -131,17 +133,15 @@ class MuxInvariants(Invariants):
         received.begun, received.since = mux.arrivals, self._now
         received.newest = (control.token.epoch, control.source)
 
-    def receives(self, mux: Mux, text: str) -> None:
-        """A mux begins to carry out an order."""
-        order = _order(text)
-        received, epoch = self._received[mux.workload], int(order["token"][1])
-        if epoch > received.newest[0]:
-            received.newest = (epoch, order["source"])
-
     def received(self, mux: Mux, text: str) -> None:
-        """An order was carried out or refused: whom a newer one than all before fences is not forwarded any more."""
-        epoch, source = self._received[mux.workload].newest
-        control = mux.control
+        """An order was carried out or refused: whom a newer one than all before fences is not forwarded any more.
+
+        What had arrived before it was forwarded first.
+        """
+        order, received, control = _order(text), self._received[mux.workload], mux.control
+        if (epoch := int(order["token"][1])) > received.newest[0]:
+            received.newest = (epoch, order["source"])
+        epoch, source = received.newest
         self.counts["orders refused for a switch"] += "by itself" in mux.refuses
         if control is not None and not source and control.token.epoch <= epoch and control.source:
             self._broken(f"{mux.process} forwards {control.source}, and epoch {epoch} names nobody")
@@ -174,7 +174,8 @@ class MuxInvariants(Invariants):
             )
         if after.source == before.source:
             self.counts["switches committed"] += 1
-            self._unrecorded[workload][before.ordered, after.source] = self._writers[workload].get(epoch, "")
+            if (by := self._writers[workload].get(epoch)) is not None:
+                self._unrecorded[workload][before.ordered, after.source] = by
 
     def _switched(self, mux: Mux, before: Control, after: Control) -> None:
         self.counts["switched"] += 1

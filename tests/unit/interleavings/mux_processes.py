@@ -53,11 +53,8 @@ class Witness(Protocol):
     def loaded(self, mux: Mux, control: Control, *, is_journal_lost: bool) -> None:
         """A mux has started."""
 
-    def receives(self, mux: Mux, text: str) -> None:
-        """A mux begins to carry out an order, or what somebody sent as one."""
-
     def received(self, mux: Mux, text: str) -> None:
-        """It has carried the order out, or has refused it."""
+        """A mux has carried an order out, or has refused it."""
 
     def decided(self, mux: Mux, before: Control, after: Control) -> None:
         """The control of a mux has changed."""
@@ -94,7 +91,6 @@ class WatchedForwarder(Forwarder):
         self.mux.decided(before, self.control)
 
     def order(self, text: str) -> None:
-        self.mux.witness.receives(self.mux, text)
         super().order(text)
         self.mux.witness.received(self.mux, text)
 

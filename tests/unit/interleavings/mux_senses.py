@@ -16,6 +16,7 @@ from tests.unit.interleavings.pods import Running
 from tests.unit.interleavings.scheduling import Process
 from tests.unit.interleavings.senses import GAP, TOPIC, HealthObserver
 from understudy.api.protocol.mux_messages import Report
+from understudy.failover.protocol import SILENCE_MARGIN
 from understudy.kube.gates import registry
 from understudy.kube.gates.base import GateRecord
 from understudy.kube.gates.mux_reports import SILENT, MuxReports
@@ -213,9 +214,13 @@ class MuxMonitor(Monitor):
             self.hindered_at = self.cut_off_at = self._robots.now
 
     def knew(self, at: float) -> frozenset[str]:
-        """None while no mux reported: then a monitor has nothing but what it receives of instances, and cannot know who is forwarded."""
-        silent = self.reports is None or self.reports.were_silent(at)
-        return frozenset() if silent else super().knew(at)
+        """None while no mux reported: then a monitor has nothing but what it receives of instances, and cannot know who is forwarded.
+
+        It judges by that a moment before a recovery is verified.
+        """
+        reports = self.reports
+        is_blind = reports is None or reports.were_silent(at) or reports.were_silent(at - SILENCE_MARGIN)
+        return frozenset() if is_blind else super().knew(at)
 
     @property
     def gate_record(self) -> GateRecord | None:
