@@ -96,7 +96,7 @@ class Robot:
     """One robot, its application and their protection."""
 
     def __init__(self, kubectl: Kubectl, name: str = "robot-1", gate_kind: str = "NetworkPolicy") -> None:
-        self.kubectl, self.name, self._gate_kind = kubectl, name, gate_kind
+        self.kubectl, self.name, self.gate_kind = kubectl, name, gate_kind
         self.workload = f"{name}-drive"
         self._begun, self._recovered_before = 0.0, 0
 
@@ -112,7 +112,7 @@ class Robot:
         folder: str = "",
     ) -> list[Object]:
         """The robot's and its workload's manifests under this robot's name; ``folder`` is that of both, if it is another one."""
-        robot = "mux/robot.yaml" if self._gate_kind == "Mux" else f"{folder}robot.yaml"
+        robot = "mux/robot.yaml" if self.gate_kind == "Mux" else f"{folder}robot.yaml"
         found = copy.deepcopy(manifest(robot) + manifest(f"{folder}{workload}"))
         text = yaml.safe_dump_all(found).replace("robot-1", self.name)
         found = list(yaml.safe_load_all(text))
@@ -121,7 +121,7 @@ class Robot:
         item["spec"]["failurePolicyRef"] = {"name": policy}
         if edit:
             edit(item)
-        if self._gate_kind == "Mux":
+        if self.gate_kind == "Mux":
             item["spec"].setdefault("gate", {})["kind"] = "Mux"
         return found
 

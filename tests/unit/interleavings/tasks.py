@@ -26,7 +26,7 @@ from understudy.agent.restoration.task_goals import TaskGoals
 from understudy.failover.progress import PodIdentity
 from understudy.kube.client import Object
 from understudy.monitor.act.action_proxy_link import ActionProxyLink
-from understudy.monitor.loop import Parts
+from understudy.monitor.loop import MonitorLoop, Parts
 
 FIRST = 2_000_000
 """From this seed on runs are of tasks."""
@@ -49,7 +49,7 @@ class TaskMonitor(Monitor):
 
     socket = Path()
 
-    def _beside(self, parts: Parts, group: asyncio.TaskGroup) -> None:
+    def _beside(self, loop: MonitorLoop, parts: Parts, group: asyncio.TaskGroup) -> None:
         cluster = parts.cluster
         link = ActionProxyLink(
             self.socket, cluster.view, cluster.pods, cluster.gate, parts.senses.agents, parts.notices
