@@ -15,7 +15,7 @@ from dataclasses import replace
 from typing import Protocol
 
 from understudy.api.protocol.agent_messages import ProtocolError
-from understudy.api.protocol.mux_messages import MuxKeys, Report, read_order, report_text
+from understudy.api.protocol.mux_messages import MuxKeys, Report, Token, read_order, report_text
 from understudy.mux.control import Control, Heard, Refused, due_at, ordered, switched
 
 _logger = logging.getLogger(__name__)
@@ -76,6 +76,8 @@ class Forwarder:
         self._begun: set[str] = set()
         """The outputs of the present instance that were forwarded."""
         self._nonce = self._refused = ""
+        self._not_kept = Token()
+        """The token of the newest order that could not be kept: it ends all older ones nevertheless."""
         self.changed = True
         """Whether a report is due because something changed."""
 
@@ -123,6 +125,8 @@ class Forwarder:
         self.drain()
         self._nonce, self._refused, self.changed = nonce, "", True
         try:
+            if found.token < self._not_kept:
+                raise Refused(f"the order is older than one of epoch {self._not_kept.epoch}, which the mux cannot keep")
             control = ordered(self.control, found)
         except Refused as error:
             self._refused = str(error)
@@ -134,6 +138,7 @@ class Forwarder:
             except OSError as error:
                 self._refused = f"the mux cannot keep it: {error}"
                 _logger.error("an order is refused: %s", self._refused)
+                self._not_kept = found.token
                 if control.source != self.control.source:  # fenced nevertheless: nobody needs to be remembered for that
                     self._apply(replace(self.control, source=""), self._clock())
 
