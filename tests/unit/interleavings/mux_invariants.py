@@ -284,7 +284,10 @@ class MuxInvariants(Invariants):
                     yield f"the switch of the mux of {workload} to {pod} was committed, and no recovery is recorded"
 
     def killed(self, monitor: str, workload: str) -> None:
-        """A monitor was killed while another one of its workload ran: that one does not ask what it had not recorded."""
+        """A monitor was killed, and no other one will ask what it had not recorded.
+
+        Another one runs already, or the gate does not name the recovery any more, as after a fence: the journal may be lost too.
+        """
         switches = self._unrecorded[workload]
         self._unrecorded[workload] = {pods: by for pods, by in switches.items() if by != monitor}
 

@@ -142,7 +142,8 @@ class Muxed(Simulation):
         self._known("")
         workload = next((one.workload for one in self.monitors if one.process is process), "")
         super().kill(process)
-        if any(one.workload == workload for one in self.monitors):
+        gate = gates.record(self.server, workload)
+        if any(one.workload == workload for one in self.monitors) or gate is None or not gate.recovery:
             self.mux_invariants.killed(process.name, workload)
 
     def patches(self) -> Iterator[tuple[Any, str, Any]]:
