@@ -286,7 +286,7 @@ class MuxInvariants(Invariants):
     def killed(self, monitor: str, workload: str) -> None:
         """A monitor was killed, and no other one will ask what it had not recorded.
 
-        Another one runs already, or the gate does not name the recovery any more, as after a fence: the journal may be lost too.
+        Another one runs already, or the gate names no recovery that is under way, as after a fence: the journal may be lost too.
         """
         switches = self._unrecorded[workload]
         self._unrecorded[workload] = {pods: by for pods, by in switches.items() if by != monitor}
