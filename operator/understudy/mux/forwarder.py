@@ -15,7 +15,7 @@ from dataclasses import replace
 from typing import Any, Protocol
 
 from understudy.api.protocol.agent_messages import ProtocolError
-from understudy.api.protocol.mux_messages import MuxKeys, Report, SafeCommand, read_order, report_text
+from understudy.api.protocol.mux_messages import MuxKeys, Report, SafeCommand, Token, read_order, report_text
 from understudy.mux.control import Control, Heard, Refused, aside, due_at, ordered, switched, undriven_at
 
 _logger = logging.getLogger(__name__)
@@ -89,6 +89,8 @@ class Forwarder:
         self._unsendable: set[str] = set()
         """Topics on which a safe command could not be sent."""
         self._nonce = self._refused = ""
+        self._not_kept = Token()
+        """The token of the newest order that could not be kept: it ends all older ones nevertheless."""
         self.changed = True
         """Whether a report is due because something changed."""
 
@@ -169,6 +171,8 @@ class Forwarder:
         if found.mux != self._identity and not found.mux:
             return  # the monitor learns by the report that this mux is there
         try:
+            if found.token < self._not_kept:
+                raise Refused(f"the order is older than one of epoch {self._not_kept.epoch}, which the mux cannot keep")
             control = ordered(self.control, found) if found.mux == self._identity else aside(self.control, found)
         except Refused as error:
             self._refused = str(error)
@@ -180,6 +184,7 @@ class Forwarder:
             except OSError as error:
                 self._refused = f"the mux cannot keep it: {error}"
                 _logger.error("an order is refused: %s", self._refused)
+                self._not_kept = found.token
                 if control.source != self.control.source:  # fenced nevertheless: nobody needs to be remembered for that
                     self._apply(replace(self.control, source=""), self._clock())
 

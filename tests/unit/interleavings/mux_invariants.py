@@ -35,6 +35,7 @@ from tests.unit.interleavings.mux_processes import Mux, Sample
 from tests.unit.interleavings.mux_robots import MuxRobots
 from tests.unit.interleavings.mux_senses import MuxMonitor
 from understudy.api.protocol.mux_messages import Token
+from understudy.failover.progress import beside
 from understudy.kube.client import Object
 from understudy.kube.gates.base import GateRecord
 from understudy.kube.gates.mux_reports import SILENT
@@ -82,10 +83,12 @@ class MuxInvariants(Invariants):
         """By workload and epoch, the instances that the gate named: several only if somebody deleted it."""
         self._knew: dict[str, dict[int, Token]] = defaultdict(dict)
         """By workload and epoch, the newest token that the monitor knew when it committed this."""
-        self._writers: dict[str, dict[int, str]] = defaultdict(dict)
-        """By workload and epoch, who committed this, unless it opened a gate for the first time: no recovery does that."""
-        self._unrecorded: dict[str, dict[tuple[str, str], str]] = defaultdict(dict)
-        """By workload, the instances between which a mux has switched, and who committed that."""
+        self._writers: dict[str, dict[int, tuple[str, str]]] = defaultdict(dict)
+        """By workload and epoch, who committed this and for which recovery. A gate is opened for the first time without one."""
+        self._unrecorded: dict[str, dict[tuple[str, str], tuple[str, str]]] = defaultdict(dict)
+        """By workload, the instances between which a mux has switched, and who committed that for which recovery."""
+        self._given_up: set[str] = set()
+        """Monitors that were killed, and whose recoveries no other one continues."""
         self._recorded: dict[str, set[str]] = defaultdict(set)
         """By workload, the instances that its recoveries name."""
         self._wrong_since: dict[tuple[str, str], float] = {}
@@ -108,12 +111,19 @@ class MuxInvariants(Invariants):
             if before is None or (before.epoch, before.active_uid) != (record.epoch, record.active_uid):
                 self._note(workload, record)
                 self._knew[workload][record.epoch] = self._known(by)
+                self._recovers(workload, record, by)
                 if record.recovery or (before is not None and before.active):
-                    self._writers[workload][record.epoch] = by
+                    self._writers[workload][record.epoch] = by, _recovery(record)
         elif plural == "robotworkloads" and new is not None:
             for recovery in (new.get("status") or {}).get("recoveries") or []:
                 pods = {recovery.get("toPod", ""), *(one.get("pod", "") for one in recovery.get("attempts") or [])}
                 self._recorded[new["metadata"]["name"]] |= {*pods, f"from {recovery.get('fromPod', '')}"}
+
+    def _recovers(self, workload: str, record: GateRecord, by: str) -> None:
+        """A recovery that another monitor replaces by one of its own is given up, and not recorded."""
+        recovery, switches = _recovery(record), self._unrecorded[workload]
+        replaced = {pods for pods, (monitor, id_) in switches.items() if recovery not in ("", id_) and by != monitor}
+        self._unrecorded[workload] = {pods: found for pods, found in switches.items() if pods not in replaced}
 
     def _note(self, workload: str, record: GateRecord) -> None:
         self._names[workload][record.epoch].add(record.active)
@@ -174,8 +184,8 @@ class MuxInvariants(Invariants):
             )
         if after.source == before.source:
             self.counts["switches committed"] += 1
-            if (by := self._writers[workload].get(epoch)) is not None:
-                self._unrecorded[workload][before.ordered, after.source] = by
+            if (commit := self._writers[workload].get(epoch)) is not None and commit[0] not in self._given_up:
+                self._unrecorded[workload][before.ordered, after.source] = commit
 
     def _switched(self, mux: Mux, before: Control, after: Control) -> None:
         self.counts["switched"] += 1
@@ -280,14 +290,24 @@ class MuxInvariants(Invariants):
                     yield f"the switch of the mux of {workload} to {pod} was committed, and no recovery is recorded"
 
     def killed(self, monitor: str, workload: str) -> None:
-        """A monitor was killed while another one of its workload ran: that one does not ask what it had not recorded."""
+        """A monitor was killed, and no other one will ask what it had not recorded.
+
+        Another one runs already, or the gate names no recovery that is under way, as after a fence: the journal may be lost too.
+        """
+        self._given_up.add(monitor)
         switches = self._unrecorded[workload]
-        self._unrecorded[workload] = {pods: by for pods, by in switches.items() if by != monitor}
+        self._unrecorded[workload] = {pods: found for pods, found in switches.items() if found[0] != monitor}
 
 
 def _order(text: str) -> dict[str, Any]:
     found: dict[str, Any] = json.loads(text.partition(" ")[2])
     return found
+
+
+def _recovery(record: GateRecord) -> str:
+    """The id of the recovery in a record; empty if there is none."""
+    found = beside(record.recovery)
+    return found.id if found is not None else ""
 
 
 def _text(token: Token) -> str:

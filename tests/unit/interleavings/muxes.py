@@ -28,7 +28,7 @@ from tests.unit.interleavings.troubles import FAILURES, TROUBLES
 from understudy.api import moments
 from understudy.api.base import seconds
 from understudy.api.protocol.mux_messages import Order, Token
-from understudy.failover.progress import PodIdentity
+from understudy.failover.progress import PodIdentity, beside
 from understudy.monitor.act.gate import mux_orders
 from understudy.monitor.observe.robot import health_observer
 from understudy.mux.control import Control, ordered
@@ -143,7 +143,9 @@ class Muxed(Simulation):
         self._known("")
         workload = next((one.workload for one in self.monitors if one.process is process), "")
         super().kill(process)
-        if any(one.workload == workload for one in self.monitors):
+        gate = gates.record(self.server, workload)
+        left = beside(gate.recovery) if gate is not None else None
+        if any(one.workload == workload for one in self.monitors) or left is None or left.result != "Running":
             self.mux_invariants.killed(process.name, workload)
 
     def patches(self) -> Iterator[tuple[Any, str, Any]]:

@@ -246,6 +246,18 @@ def test_an_order_that_cannot_be_kept_does_not_stop_the_instance_that_it_names(s
     assert stand.topic.forwarded == ["w-1"]
 
 
+def test_an_order_that_cannot_be_kept_ends_all_older_ones(stand: Stand, tmp_path: Path) -> None:
+    (tmp_path / "control.new").mkdir()
+    fence = replace(ORDER, epoch=6, source="")
+    assert "cannot keep it" in stand.order(fence).refused
+    (tmp_path / "control.new").rmdir()
+    report = stand.order(ORDER, "late")
+    assert (report.source, report.nonce) == ("", "late")
+    assert "epoch 6" in report.refused
+    assert not stand.order(fence, "again").refused
+    assert stand.mux.control.token == Token(1000.0, 6)
+
+
 def test_a_switch_that_cannot_be_kept_is_not_made(stand: Stand, tmp_path: Path) -> None:
     stand.order(ORDER)
     stand.after(0.1, "w-1")
