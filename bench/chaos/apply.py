@@ -149,6 +149,10 @@ class Faults:
             raise NotPossible(f"{robot.name} has no {component} now")
         return found[0]
 
+    def _house_pods(self, robot: str) -> list[PodSeen]:
+        """Return the pods of a robot on the node that is never lost, where the robot itself is."""
+        return [pod for pod in self._witness.pods() if pod.name.startswith(f"{robot}-") and pod.node == HOUSE]
+
     @staticmethod
     def _processes(pod: PodSeen, words: str = "") -> list[int]:
         if not (found := process_ids(pod.uid, words)):
@@ -208,9 +212,7 @@ class Faults:
     @contextlib.contextmanager
     def _flood(self, fault: Fault) -> Iterator[str]:
         pod, robot = self._victim(fault), self._robot(fault).name
-        address = next(
-            (p.address for p in self._witness.pods() if p.name.startswith(f"{robot}-") and p.node == HOUSE), ""
-        )
+        address = next((pod.address for pod in self._house_pods(robot)), "")
         if not address:
             raise NotPossible(f"{robot} has no address now")
         arguments = [address, str(fault.strength), str(fault.seconds)]
@@ -300,8 +302,8 @@ class Faults:
 
     def _mux(self, fault: Fault) -> list[int]:
         robot = self._robot(fault)
-        found = [one for one in self._witness.pods() if one.name.startswith(f"{robot.name}-") and one.node == HOUSE]
-        pids = [pid for one in found for pid in process_ids(one.uid, "mux")] if robot.muxed else []
+        pods = self._house_pods(robot.name) if robot.muxed else []
+        pids = [pid for pod in pods for pid in process_ids(pod.uid, "mux")]
         if not pids:
             raise NotPossible(f"{robot.name} has no mux now")
         return pids

@@ -39,21 +39,24 @@ def cut_off(kubectl: Kubectl, stage: Stage) -> Robot:
     return robot
 
 
-def drivers(robot: Robot, since: float) -> list[str]:
-    """Return who drove since a time, in order, each once per reign."""
+def driven(robot: Robot, stage: Stage, since: float) -> tuple[list[str], float]:
+    """Give the robot its link back, and wait until the mux forwards whom the gate names.
+
+    Return who drove since a time, in order, each once per reign, and the longest time without a command since then, in seconds.
+    """
+    stage.restore()
+    eventually(
+        lambda: robot.condition("GateEnforced").get("reason") == "ReportedByMux",
+        within=60,
+        what="control returns",
+        note=robot.describe,
+    )
+    time.sleep(2)
     commands = [c for c in robot.log().commands if c.received >= since]
-    return [source for source, _ in groupby(commands, key=lambda c: c.source)]
-
-
-def gaps(robot: Robot, since: float) -> float:
-    """Return the longest time without a command since a time, in seconds."""
-    times = [c.received for c in robot.log().commands if c.received >= since]
-    return max(later - earlier for earlier, later in pairwise(times))
-
-
-def returned(robot: Robot) -> bool:
-    """Return whether the mux forwards whom the gate names."""
-    return robot.condition("GateEnforced").get("reason") == "ReportedByMux"
+    order = [source for source, _ in groupby(commands, key=lambda c: c.source)]
+    gap = max(later.received - earlier.received for earlier, later in pairwise(commands))
+    print(f"\n{order}; longest gap {gap:.3f} s")
+    return order, gap
 
 
 def test_a_robot_that_is_cut_off_is_driven_from_on_board_until_the_link_is_back(cut_off: Robot, stage: Stage) -> None:
@@ -62,15 +65,11 @@ def test_a_robot_that_is_cut_off_is_driven_from_on_board_until_the_link_is_back(
     began = time.time()
     stage.lose(stage.nodes[-1], "cut")
     time.sleep(20)
-    stage.restore()
-    eventually(lambda: returned(cut_off), within=60, what="control returns", note=cut_off.describe)
-    time.sleep(2)
-    order = drivers(cut_off, began)
-    print(f"\n{order}; longest gap {gaps(cut_off, began):.3f} s")
+    order, gap = driven(cut_off, stage, began)
     assert order[:2] == [active, ON_BOARD], order
     assert len(order) == 3, f"one hand-over to on board, and one back: {order}"
     assert order[2] == cut_off.status()["active"]
-    never([] if gaps(cut_off, began) < AFTER + 0.5 else [gaps(cut_off, began)], "the robot was undriven")
+    never([] if gap < AFTER + 0.5 else [gap], "the robot was undriven")
 
 
 def test_failures_of_all_kinds_while_the_robot_is_cut_off_leave_it_with_one_driver(
@@ -89,9 +88,5 @@ def test_failures_of_all_kinds_while_the_robot_is_cut_off_leave_it_with_one_driv
     time.sleep(10)
     assert signal_processes(uid, MUX, signal.SIGKILL)
     time.sleep(10)
-    stage.restore()
-    eventually(lambda: returned(cut_off), within=60, what="control returns", note=cut_off.describe)
-    time.sleep(2)
-    order = drivers(cut_off, began)
-    print(f"\n{order}; longest gap {gaps(cut_off, began):.3f} s")
+    order, _ = driven(cut_off, stage, began)
     assert order == [active, ON_BOARD, cut_off.status()["active"]], "nobody drove between two commands of another one"

@@ -33,6 +33,11 @@ class Control:
     on_board: bool = False
     """Whether the source is the instance on board. It only stands in: any newer order of the cluster replaces it."""
 
+    @property
+    def newest(self) -> Token:
+        """The token of the newest order that was carried out."""
+        return replace(self.token, count=0)
+
 
 class Refused(Exception):
     """An order that is not carried out. The text is the reason."""
@@ -45,7 +50,7 @@ def ordered(control: Control, order: Order) -> Control:
     nobody leaves that instance in control, if it is still allowed to. Raises Refused if the order is older than the control, or was given
     without knowing a switch of the mux's own to another instance of the cluster.
     """
-    present = replace(control.token, count=0)
+    present = control.newest
     if order.token < present:
         raise Refused(
             f"the order is of epoch {order.epoch}, and the mux has carried out one of epoch {present.epoch}"
@@ -82,7 +87,7 @@ def aside(control: Control, order: Order) -> Control:
 
     Raises Refused if the order is older than the control.
     """
-    if order.token < replace(control.token, count=0):
+    if order.token < control.newest:
         raise Refused(f"the order is for another mux, {order.mux}, and older than what this one has carried out")
     # An order of the same epoch for this mux is carried out again.
     return Control(replace(order.token, epoch=order.epoch - 1))

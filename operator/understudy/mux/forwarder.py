@@ -148,13 +148,13 @@ class Forwarder:
     @property
     def due_at(self) -> float:
         """When :meth:`drain` must be called at the latest, although nothing arrives."""
-        # What was due when it looked last was judged. If nobody else was heard then, only an arrival changes that.
-        dues = [due for due in (due_at(self.control, self._heard),) if due > self._looked]
-        begins = undriven_at(self.control, self._heard)
-        dues += [
+        switches, begins = due_at(self.control, self._heard), undriven_at(self.control, self._heard)
+        if switches <= self._looked:  # it was judged: nobody else was heard, and only an arrival changes that
+            switches = math.inf
+        commands = (
             max(begins, self._commanded.get(safe.topic, -math.inf) + safe.every) for safe in self.control.standing.safe
-        ]
-        return min(dues, default=math.inf)
+        )
+        return min([switches, *commands])
 
     def order(self, text: str) -> None:
         """Carry out an order, unless it is refused. A text that is no authentic order is ignored.
@@ -168,7 +168,7 @@ class Forwarder:
             return
         self.drain()
         self._nonce, self._refused, self.changed = nonce, "", True
-        if found.mux != self._identity and not found.mux:
+        if self._identity and not found.mux:
             return  # the monitor learns by the report that this mux is there
         try:
             if found.token < self._not_kept:

@@ -93,30 +93,24 @@ async def _run(
         ways, derive(token, namespace, workload), ControlJournal(state / "control.json"), _identity(state)
     )
     orders, reports = topics(namespace, workload)
-    texts = ArrivalWakeups()
-    exchange = TextExchange(graph, texts, reads=orders, writes=reports)
+    exchange = TextExchange(graph, ArrivalWakeups(), reads=orders, writes=reports)
     work = _Work(forwarder, exchange)
 
     def arrived() -> None:
         wakeups.clear()
         work.done()
 
-    def ordered() -> None:
-        texts.clear()
-        work.carry_out()
-
     loop.add_reader(wakeups.descriptor, arrived)
-    loop.add_reader(texts.descriptor, ordered)
     _logger.info("mux of %s/%s: %s", namespace, workload, ", ".join(output.name for output in outputs))
     tasks = [asyncio.create_task(_follow(ways, forwarder, allowed, work.done)), asyncio.create_task(work.report())]
     stopped = asyncio.create_task(stopping.wait())
-    await asyncio.wait([*tasks, stopped], return_when=asyncio.FIRST_COMPLETED)
+    with exchange.receiving(work.order):
+        await asyncio.wait([*tasks, stopped], return_when=asyncio.FIRST_COMPLETED)
     for task in tasks:
         if task.done():
             task.result()
         task.cancel()
-    for readable in (wakeups, texts):
-        loop.remove_reader(readable.descriptor)
+    loop.remove_reader(wakeups.descriptor)
     _logger.info("ended")
 
 
@@ -138,10 +132,9 @@ class _Work:
         self._timer: asyncio.TimerHandle | None = None
         self._wake = asyncio.Event()
 
-    def carry_out(self) -> None:
-        """Carry out the orders that have arrived."""
-        for text in self._exchange.received():
-            self._forwarder.order(text)
+    def order(self, text: str) -> None:
+        """Carry out an order."""
+        self._forwarder.order(text)
         self.done()
 
     def done(self) -> None:

@@ -201,8 +201,8 @@ class Mux:
         self.forwarder, self._route = made, route
         is_lost, self._is_lost = self._is_lost, False
         self.witness.loaded(self, made.control, is_journal_lost=is_lost)
-        exchange = MuxExchange(self.topics, process, functools.partial(self._wake, "orders"))
-        self._work = _Work(made, cast(Any, exchange))
+        self._exchange = MuxExchange(self.topics, process, functools.partial(self._wake, "orders"))
+        self._work = _Work(made, cast(Any, self._exchange))
         self.changed()
         await self._work.report()
 
@@ -242,7 +242,11 @@ class Mux:
         if len(ready) > 1 and self._network.choices.random() < 0.5:
             ready.reverse()
         for one in ready:
-            self._work.done() if one == "samples" else self._work.carry_out()
+            if one == "samples":
+                self._work.done()
+                continue
+            for text in self._exchange.received():
+                self._work.order(text)
 
     def _discover(self, writer: bytes, found: Running) -> None:
         self._known[writer] = found.name

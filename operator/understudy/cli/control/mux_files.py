@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from understudy.api import names
-from understudy.api.kinds.robot_workload import RobotWorkloadSpec
-from understudy.cli.control.profile_files import ENV_FILE, env_text, to_reach
+from understudy.cli.control.profile_files import ENV_FILE, RobotFiles, env_text, to_reach
 
 MUX_FILE = "mux.env"
 TOKEN_FILE = "token"
@@ -17,34 +16,20 @@ UNIT = "understudy-mux@"
 
 
 @dataclass(frozen=True)
-class MuxFiles:
+class MuxFiles(RobotFiles):
     """The environment of the robot's processes, and that of the mux. Nothing of the robot needs a DDS profile."""
 
-    name: str
-    namespace: str
-    spec: RobotWorkloadSpec
-    environment: Mapping[str, str]
     settings: Mapping[str, str]
     """The environment of the mux in addition."""
-    folder: str
-    """Folder of the files on the robot."""
 
     @property
     def files(self) -> dict[str, str]:
         """Both files by name."""
         return {ENV_FILE: env_text(self.environment), MUX_FILE: env_text(self.settings)}
 
-    def lines(self) -> Iterator[str]:
-        """Format both files, their paths and the next steps as text."""
-        for name, text in self.files.items():
-            yield f"# {self.folder.rstrip('/')}/{name}"
-            yield from text.rstrip("\n").splitlines()
-            yield ""
-        yield from self.advice()
-
     def advice(self) -> Iterator[str]:
         """Describe what to do with the files, and what else is needed."""
-        folder, secret = self.folder.rstrip("/"), names.mux(self.name)
+        folder, secret = self.place, names.mux(self.name)
         template = f"'{{{{.data.{names.TOKEN} | base64decode}}}}'"
         yield f"On the robot, put both files into {folder}."
         yield f"Start its ROS processes with the environment {ENV_FILE}: they need no DDS profile."

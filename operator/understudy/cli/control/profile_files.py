@@ -3,6 +3,7 @@ and what else to do. Pure."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -37,49 +38,68 @@ def to_reach(spec: RobotWorkloadSpec, environment: Mapping[str, str]) -> Iterato
 
 
 @dataclass(frozen=True)
-class Profile:
+class RobotFiles(ABC):
     """The files and settings that the robot's side of a workload needs."""
 
     name: str
     namespace: str
     spec: RobotWorkloadSpec
     environment: Mapping[str, str]
-    profiles: str
     folder: str
     """Folder of the files on the robot."""
 
     @property
-    def variables(self) -> dict[str, str]:
-        """The environment, with the path of the profiles on the robot."""
-        return {**self.environment, MIDDLEWARE.settings_variable: f"{self.folder.rstrip('/')}/{PROFILES_FILE}"}
+    @abstractmethod
+    def files(self) -> dict[str, str]:
+        """Both files by name."""
+
+    @abstractmethod
+    def advice(self) -> Iterator[str]:
+        """Describe what to do with the files, and what else is needed."""
+
+    @abstractmethod
+    def to_wire(self) -> dict[str, Any]:
+        """Return everything for scripts."""
 
     @property
-    def env_file(self) -> str:
-        """The environment as a file."""
-        return env_text(self.variables)
+    def place(self) -> str:
+        """The folder without a slash at its end."""
+        return self.folder.rstrip("/")
+
+    def lines(self) -> Iterator[str]:
+        """Format both files, their paths and the next steps as text."""
+        for name, text in self.files.items():
+            yield f"# {self.place}/{name}"
+            yield from text.rstrip("\n").splitlines()
+            yield ""
+        yield from self.advice()
+
+
+@dataclass(frozen=True)
+class Profile(RobotFiles):
+    """Those of a robot whose processes read the outputs at gated ports: their environment, and their DDS profiles."""
+
+    profiles: str
+
+    @property
+    def variables(self) -> dict[str, str]:
+        """The environment, with the path of the profiles on the robot."""
+        return {**self.environment, MIDDLEWARE.settings_variable: f"{self.place}/{PROFILES_FILE}"}
 
     @property
     def files(self) -> dict[str, str]:
         """Both files by name."""
-        return {ENV_FILE: self.env_file, PROFILES_FILE: self.profiles}
+        return {ENV_FILE: env_text(self.variables), PROFILES_FILE: self.profiles}
 
     @property
     def ports(self) -> dict[str, int]:
         """The gated ports by the topics whose readers receive at them."""
         return MIDDLEWARE.gate_ports(self.spec.outputs)
 
-    def lines(self) -> Iterator[str]:
-        """Format both files, their paths and the next steps as text."""
-        for name, text in self.files.items():
-            yield f"# {self.folder.rstrip('/')}/{name}"
-            yield from text.rstrip("\n").splitlines()
-            yield ""
-        yield from self.advice()
-
     def advice(self) -> Iterator[str]:
         """Describe what to do with the files, and what else is needed."""
         topics = ", ".join(dict.fromkeys(output.name for output in self.spec.outputs))
-        folder = self.folder.rstrip("/")
+        folder = self.place
         yield f"On the robot, put both files into {folder}; then start its ROS processes with the environment:"
         yield f"  systemd   EnvironmentFile={folder}/{ENV_FILE}"
         yield f"  docker    --env-file {folder}/{ENV_FILE} -v {folder}:{folder}:ro --network host"

@@ -13,7 +13,7 @@ from understudy.api.output_formats import structured
 from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options
 from understudy.cli.common.errors import CommandError, reports_errors
 from understudy.cli.control.mux_files import MuxFiles
-from understudy.cli.control.profile_files import ENV_FILE, PROFILES_FILE, Profile
+from understudy.cli.control.profile_files import ENV_FILE, PROFILES_FILE, Profile, RobotFiles
 from understudy.controller.pods.ros_environment import PROFILES_DIR
 from understudy.kube.client import Object
 
@@ -36,7 +36,7 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
-def _file(found: Profile | MuxFiles, name: str) -> str:
+def _file(found: RobotFiles, name: str) -> str:
     if name not in found.files:
         raise CommandError(
             f"the robot of {found.name} needs no {name}, because a mux forwards the outputs: {', '.join(found.files)}"
@@ -44,7 +44,7 @@ def _file(found: Profile | MuxFiles, name: str) -> str:
     return found.files[name]
 
 
-def _profile(kubectl: Kubectl, item: Object, folder: str | None) -> Profile | MuxFiles:
+def _profile(kubectl: Kubectl, item: Object, folder: str | None) -> RobotFiles:
     """Read the ConfigMaps that the operator keeps for the robot's side. Raises CommandError."""
     name = item["metadata"]["name"]
     environment = _data(kubectl, name, names.robot_env(name))
@@ -57,9 +57,9 @@ def _profile(kubectl: Kubectl, item: Object, folder: str | None) -> Profile | Mu
     namespace = item["metadata"]["namespace"]
     if spec.gate.is_at_robot:
         settings = _data(kubectl, name, names.mux(name))
-        return MuxFiles(name, namespace, spec, environment, settings, folder or f"{PROFILES_DIR}/{name}")
+        return MuxFiles(name, namespace, spec, environment, folder or f"{PROFILES_DIR}/{name}", settings)
     profiles = _data(kubectl, name, names.robot_profiles(name))[names.PROFILES_KEY]
-    return Profile(name, namespace, spec, environment, profiles, folder or PROFILES_DIR)
+    return Profile(name, namespace, spec, environment, folder or PROFILES_DIR, profiles)
 
 
 def _data(kubectl: Kubectl, workload: str, name: str) -> dict[str, str]:
@@ -70,7 +70,7 @@ def _data(kubectl: Kubectl, workload: str, name: str) -> dict[str, str]:
     return data
 
 
-def _write(found: Profile | MuxFiles, folder: Path) -> None:
+def _write(found: RobotFiles, folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in found.files.items():
