@@ -58,6 +58,7 @@ VERBS = (
     Verb("learn", "understudy.cli.simulate.learn", "measure gaps and rates in a recorded bag"),
     Verb("size", "understudy.cli.plan.size", "calculate how many waiting pods a fleet needs in a shared pool"),
     Verb("recommend", "understudy.cli.plan.recommend", "recommend strategies for a policy's requirements"),
+    Verb("mux", "understudy.mux.process", "forward one instance to the robot, at the robot", has_options=False),
     Verb("tracker", "understudy.tracker.process", "track robots with a camera"),
     Verb("verify", "understudy.controller.runtime.installation_test", "test the installation (used by helm test)"),
     Verb("completion", "understudy.cli.completion.command", "print the completion script of a shell"),
@@ -65,7 +66,6 @@ VERBS = (
     Verb("monitor", "understudy.monitor.process", "watch one workload and recover it", in_pods=True, has_options=False),
     Verb("agent", "understudy.agent.process", "the sidecar of an instance", in_pods=True, has_options=False),
     Verb("tasks", "understudy.action_proxy.process", "the action proxy of a workload", in_pods=True, has_options=False),
-    Verb("mux", "understudy.mux.process", "forward one instance at the robot", in_pods=True, has_options=False),
     Verb(
         "prepare",
         "understudy.agent.prepare",

@@ -244,6 +244,9 @@ class Outputs(Protocol):
         Returns None if no topic is expected, or no longer is.
         """
 
+    async def heard_held_back(self, instance: Instance) -> None:
+        """Wait until the robot's side hears an instance that the gate holds back, if it must before it can let that instance through."""
+
     def last_from_others(self, instance: Instance) -> tuple[float, str]:
         """Return when a sample of another instance last passed the gate, and from which pod.
 

@@ -9,6 +9,7 @@ instance retired.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -28,6 +29,10 @@ COMMIT_WITHIN = 2.0
 
 SEEN_WITHIN = 2.0
 """Seconds within which outputs of the understudy, which it already published behind the gate, must reach the gated readers."""
+
+
+HEARD_WITHIN = 3.0
+"""Seconds that the robot's side has to hear an understudy that is ready: a mux learns of its writers and reports once a second."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +70,7 @@ async def prepare(progress: Progress, choices: Sequence[Choice], context: Strate
             async with asyncio.timeout(choice.verify_within):
                 work = choice.strategy.make_ready(progress, aside, within=choice.verify_within, unfit=unfit)
                 target = await unless_lost(work, progress, context, crashing_counts=True)
+            await _heard(target, context)
             return Preparation(progress, target, attempts)
         except NotAvailable as error:
             result, reason = "NotAvailable", str(error)
@@ -79,6 +85,13 @@ async def prepare(progress: Progress, choices: Sequence[Choice], context: Strate
             await retire(progress, context)
         progress.forget_attempt()
     return Preparation(progress, None, attempts)
+
+
+async def _heard(target: Instance, context: StrategyContext) -> None:
+    """Wait until the robot's side hears an understudy, but not for long: one that waits for a goal may send nothing."""
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(HEARD_WITHIN):
+            await context.outputs.heard_held_back(target)
 
 
 async def switch(prepared: Preparation, context: StrategyContext) -> Progress:

@@ -244,6 +244,8 @@ class Forwarder:
             name = instances.get(writer)
             if not name:
                 return None if name is None else False
+            if output not in last[name]:
+                self.changed = True  # a switch may wait until this instance is heard
             last[name][output] = now
             return name == source
 

@@ -77,6 +77,27 @@ async def test_the_gate_is_committed_once_and_never_closed(strategy: Strategy, s
 
 
 @EACH
+async def test_the_gate_does_not_change_before_the_robot_s_side_hears_the_standby(
+    strategy: Strategy, standby: dict[str, object]
+) -> None:
+    store = driven(**standby)
+    store.heard_after = 2 * WITHIN
+    world = World(store)
+    preparing = asyncio.create_task(prepared_by(world, strategy))
+    await asyncio.sleep(1.5 * WITHIN)
+    assert not preparing.done()
+    assert (await preparing).target is not None
+
+
+async def test_a_standby_that_sends_nothing_takes_over_nevertheless(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(switchover, "HEARD_WITHIN", 0.1)
+    store = driven(pool="hot")
+    store.heard_after = 60.0
+    done = await switched(World(store), ExecutingFallback("hot"))
+    assert done.result == "Recovered"
+
+
+@EACH
 async def test_the_gate_does_not_change_before_the_standby_can_drive(
     strategy: Strategy, standby: dict[str, object]
 ) -> None:

@@ -57,6 +57,8 @@ class Store:
     started: set[str] = field(default_factory=set)
     deleted: list[str] = field(default_factory=list)
     deletion_takes: float = 0.0
+    heard_after: float = 0.0
+    """Seconds until the robot's side hears an understudy that the gate holds back."""
     """Seconds until the API server answers."""
     unanswered_deletions: int = 0
     """How many deletions the API server does not answer."""
@@ -417,6 +419,9 @@ class Outputs(_Part):
     @property
     def expected(self) -> Sequence[str]:
         return ["/cmd_vel"]
+
+    async def heard_held_back(self, instance: Instance) -> None:
+        await asyncio.sleep(self.store.heard_after)
 
     async def first_from(self, instance: Instance, *, since: float) -> float:
         while not self.store.drives(instance.name):

@@ -215,6 +215,9 @@ class Outputs:
                 async with asyncio.timeout(within):
                     await self._robots.wait(self._workload)
 
+    async def heard_held_back(self, instance: Instance) -> None:
+        return
+
     def _others(self, instance: Instance) -> Iterator[tuple[str, Running]]:
         self._drain()
         for name, sender in self._observer._senders.named().items():

@@ -48,6 +48,9 @@ class NoOutputs(Outputs):
     async def first_from(self, instance: Instance, *, since: float) -> float | None:
         return None
 
+    async def heard_held_back(self, instance: Instance) -> None:
+        return
+
     def last_from_others(self, instance: Instance) -> tuple[float, str]:
         return 0.0, ""
 

@@ -91,6 +91,18 @@ def stand(tmp_path: Path) -> Stand:
     return Stand(tmp_path)
 
 
+def test_an_instance_that_is_heard_for_the_first_time_is_reported_at_once(stand: Stand) -> None:
+    assert stand.order(ORDER).heard == {}
+    stand.after(0.1, "w-1")
+    assert stand.mux.changed
+    assert stand.report.heard.keys() == {"w-1"}
+    stand.after(0.1, "w-1")
+    assert not stand.mux.changed
+    stand.after(0.1, "w-2")
+    assert stand.mux.changed, "a switchover may wait for it"
+    assert stand.report.heard.keys() == {"w-1", "w-2"}
+
+
 def test_only_the_instance_that_was_ordered_is_forwarded(stand: Stand) -> None:
     stand.after(0.1, "w-1", "w-2", "robot")
     assert stand.topic.forwarded == []

@@ -71,10 +71,10 @@ def _several(manifest: Manifest) -> Iterator[Finding]:
     spec = at(manifest.data, "spec")
     replicas = at(spec, "replicas")
     if isinstance(replicas, int) and replicas > 1:
-        message = f"{replicas} muxes would forward every command to the robot: use one"
+        message = f"each order names one mux, and the others of these {replicas} forward nothing: use 1"
         yield manifest.finding("spec.replicas", message, warning=True)
     elif manifest.kind == "Deployment" and at(spec, "strategy", "type") != "Recreate":
-        message = "during an update, two muxes would forward every command to the robot: use type Recreate"
+        message = "an update starts the new mux beside the old one, and two that share a volume both forward: use type Recreate"
         yield manifest.finding("spec.strategy", message, warning=True)
 
 

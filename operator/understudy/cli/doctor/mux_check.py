@@ -55,7 +55,7 @@ def _mux(api: Api, namespace: str, workload: Object, pods: Sequence[Object]) -> 
         )
     if len(running) > 1:
         listed = ", ".join(sorted(map(kube_objects.name, running)))
-        cure = "the robot receives every command from each of them: run one, with the strategy Recreate"
+        cure = "each order names one of them, and the others forward nothing: run one, with the strategy Recreate"
         return Finding(check, "FAIL", f"{len(running)} pods run it: {listed}", cure)
     (pod,) = running
     where = f"pod {kube_objects.name(pod)}"

@@ -10,7 +10,7 @@ import asyncio
 import math
 import time
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from understudy.api.protocol.mux_messages import Order, Report, Token
@@ -129,6 +129,11 @@ class MuxReports:
         if found is None or not found.report.source:
             return {}
         return {output: found.at - age for output, age in found.report.heard.get(found.report.source, {}).items()}
+
+    def hears(self, source: str, outputs: Iterable[str]) -> bool:
+        """Return whether the mux hears each of these outputs of an instance, whether it forwards the instance or not."""
+        ages = self.latest.report.heard.get(source, {}) if self.latest is not None else {}
+        return all(ages.get(output, math.inf) < HEARD for output in outputs)
 
     # -- Proof ------------------------------------------------------------------------------------------------------------
 

@@ -252,6 +252,9 @@ class Monitor:
     async def wait(self, uid: str, since: float) -> float:
         return time.time()
 
+    async def heard_held_back(self, instance: Instance) -> None:
+        return
+
     async def first_from(self, instance: Instance, *, since: float) -> float:
         return time.time()
 

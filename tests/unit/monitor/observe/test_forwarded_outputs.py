@@ -82,6 +82,21 @@ async def test_while_no_mux_reports_what_an_instance_sends_has_to_do(
     assert await outputs.first_from(INSTANCE, since=began) == began + 0.5
 
 
+async def test_a_switchover_waits_until_the_mux_hears_each_expected_topic_of_the_understudy(
+    observer: HealthObserver, reports: MuxReports
+) -> None:
+    outputs = observer.outputs(cast(Any, Instances()), cast(Any, Gate()))
+    await outputs.heard_held_back(OTHER)  # no mux reports: waiting would not help
+    reports.add(replace(REPORT, heard={"w-1": {"/cmd_vel": 0.0}, "w-2": {"/lamp": 0.0}}))
+    waiting = asyncio.create_task(outputs.heard_held_back(OTHER))
+    await asyncio.sleep(0.1)
+    reports.add(replace(REPORT, heard={"w-1": {"/cmd_vel": 0.0}, "w-2": {"/cmd_vel": 5.0}}))
+    await asyncio.sleep(0.1)
+    assert not waiting.done(), "it was heard once, and is not now"
+    reports.add(REPORT)
+    await waiting
+
+
 async def test_no_other_instance_reaches_the_robot(observer: HealthObserver, reports: MuxReports) -> None:
     outputs = observer.outputs(cast(Any, Instances()), cast(Any, Gate()))
     reports.add(REPORT)

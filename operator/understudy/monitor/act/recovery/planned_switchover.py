@@ -161,7 +161,7 @@ class PlannedSwitchovers:
         Returns None if the gate was not switched.
         """
         progress, context = prepared.progress, self._options.context()
-        self._report_switching(progress)
+        self._report_switching(prepared)
         _logger.warning("switchover (%s): %s", progress.switchover, progress.reason)
         try:
             with self._current.during(progress):
@@ -179,10 +179,11 @@ class PlannedSwitchovers:
             _logger.warning("the former pod is not deleted yet: %r", error)
         return Outcome("SwitchedOver" if progress.result == "Recovered" else "NotSwitchedOver", progress)
 
-    def _report_switching(self, progress: Progress) -> None:
-        self._task = None
-        target = progress.target.name if progress.target is not None else ""
-        self._report_progress(progress, "Switching", f"The gate is being switched to {target}.")
+    def _report_switching(self, prepared: Preparation) -> None:
+        self._task, progress = None, prepared.progress
+        target = prepared.target or progress.target
+        assert target is not None, "it was prepared"
+        self._report_progress(progress, "Switching", f"The gate is being switched to {target.name}.")
 
     def _give_up(self, progress: Progress, reason: str) -> None:
         # If the commit was carried out after all, ``unsettled`` finds it in the gate's record.

@@ -46,6 +46,9 @@ _logger = logging.getLogger(__name__)
 CHECK_PERIOD = 0.002
 """Seconds between checks while a switch is being verified."""
 
+HELD_BACK_PERIOD = 0.05
+"""Seconds between checks while a planned switchover waits until the mux hears the understudy."""
+
 WRITERS_PERIOD, WRITERS_AGAIN = 0.2, 2.0
 """Seconds between two looks whether the number of writers of an output has changed, and between two lists of them."""
 
@@ -447,6 +450,9 @@ class GatedReaders:
                 return first
             await asyncio.sleep(CHECK_PERIOD)
 
+    async def heard_held_back(self, instance: Instance) -> None:
+        """Return at once: a NetworkPolicy lets everything through as soon as the gate is open."""
+
     def _heard_from(self, instance: Instance, since: float) -> float | None:
         """Return when the first sample of the instance arrived after ``since``; None if one of each expected topic has not."""
         # If two pods cannot be distinguished, a sample that passes the gate is from the pod that the gate names.
@@ -526,6 +532,15 @@ class ForwardedOutputs(GatedReaders):
         if not all(heard.get(topic, -math.inf) >= since for topic in self.expected):
             return None
         return max(since, forwarded.forwarding_since)
+
+    async def heard_held_back(self, instance: Instance) -> None:
+        """Wait until the mux hears each expected topic of an instance that it does not forward: it knows the writers then.
+
+        Returns at once while no mux reports.
+        """
+        while not self._reports.is_silent and not self._reports.hears(instance.name, self.expected):
+            self._drain()
+            await asyncio.sleep(HELD_BACK_PERIOD)
 
     def last_from_others(self, instance: Instance) -> tuple[float, str]:
         """Return that no sample of another instance is forwarded."""
