@@ -54,6 +54,8 @@ class ControlState:
     peers: tuple[Peer, ...] = ()
     workload_uid: str = ""
     """UID of the RobotWorkload."""
+    on_board: bool = False
+    """Whether an instance on board drives, or did a moment ago: the active instance could not reach the robot."""
     pod_deleted: bool = False
     """Whether the pod of the monitor and this proxy was deleted, so that others have replaced them."""
 

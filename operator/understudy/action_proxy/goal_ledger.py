@@ -10,6 +10,7 @@ the proxy, of an agent or of the monitor, loses a goal or causes one to be execu
   as accepted.
 - An end that no client requested is withheld while a failure is detected or a recovery is in progress, in the first moments, and while
   the instance's agent is not connected: applications abort their goals when they receive the signal to end.
+- An abort by an instance that could not reach the robot, because an instance on board drove it, is no end: the goal is sent again.
 - A goal that a newer one has replaced (it was aborted while the newer one continues) has ended, and is not sent again.
 """
 
@@ -510,6 +511,12 @@ class GoalLedger:
             self._finish(goal, GoalEnd(ABORTED, ""), now)
         goal.unasked = None
 
+    def _void(self, goal: Goal, now: float) -> None:
+        """Handle an end at an instance that could not reach the robot as one of an application that has lost the goal."""
+        if (attempt := goal.attempts.get(goal.charge)) is not None:
+            attempt.at, attempt.after = AttemptState.LOST, now + AGAIN
+        self._orphaned(goal, now)
+
     def _counts_unasked(self, goal: Goal) -> bool:
         """Whether an end that no client requested counts, once its grace is over."""
         return goal.unasked is not None and self._settled and goal.charge in self.connected
@@ -550,6 +557,8 @@ class GoalLedger:
         if goal.phase is Phase.PENDING and now - goal.received >= UNDECIDED:
             self._drop(goal)
             return
+        if goal.unasked is not None and situation.on_board:
+            self._void(goal, now)
         if self._counts_unasked(goal) and now - goal.unasked_at >= rule.abort_grace:
             assert goal.unasked is not None
             self._finish(goal, goal.unasked, now)

@@ -105,6 +105,38 @@ class TestOneInstance:
         world.settle()
         assert world.results == {goal: (ABORTED, "a")}
 
+    def test_an_abort_of_an_instance_that_could_not_reach_the_robot_is_no_end(self, world: World) -> None:
+        goal = world.ask()
+        world.want(goal)
+        world.settle(False)
+        world.end("a", goal, ABORTED)
+        world.later(600)
+        world.stand_in()
+        world.later(1)
+        again = world.id_at(goal, "a")
+        assert world.instances["a"].starts == [goal, again], "it is sent again, so that the instance drives"
+        world.end("a", goal, ABORTED)
+        world.later(1)
+        third = world.id_at(goal, "a")
+        assert third != again
+        world.stand_in(False)
+        world.settle()
+        world.later(60)
+        assert world.results == {}
+        world.end("a", goal)
+        assert world.results == {goal: (SUCCEEDED, "a")}
+
+    def test_a_goal_that_was_reached_or_cancelled_while_an_instance_on_board_drives_has_ended(
+        self, world: World
+    ) -> None:
+        reached, cancelled = world.ask(), world.ask()
+        world.want(reached)
+        world.want(cancelled)
+        world.stand_in()
+        world.end("a", reached)
+        world.cancel(cancelled)
+        assert {goal: found[0] for goal, found in world.results.items()} == {reached: SUCCEEDED, cancelled: CANCELED}
+
     def test_the_instance_decides_whether_a_cancellation_is_accepted(self, world: World) -> None:
         goal = world.ask()
         world.want(goal)

@@ -35,6 +35,7 @@ class World:
         self.epoch = 0
         self.active = ""
         self.settled = True
+        self.on_board = False
         self.rule = TaskRule(ACTION, "test_msgs/action/Fibonacci", on_failover, 2.0)
         self.instances = {uid: Instance(uid) for uid in instances or ("a", "b")}
         self.accepted: dict[str, bool] = {}
@@ -54,9 +55,15 @@ class World:
         self.settled = settled
         self.tell()
 
+    def stand_in(self, on_board: bool = True) -> None:
+        """An instance on board drives from now on, or no more."""
+        self.on_board = on_board
+        self.tell()
+
     def tell(self, *, work: bool = True) -> None:
         peers = tuple(Peer(i.uid, i.uid, "", 0, "", "", i.executing) for i in self.instances.values())
-        self.ledger.place(ControlState("w", self.epoch, self.active, self.settled, (self.rule,), peers), self.now)
+        state = ControlState("w", self.epoch, self.active, self.settled, (self.rule,), peers, on_board=self.on_board)
+        self.ledger.place(state, self.now)
         self.ledger.connected = set(self.instances)
         self.go(work=work)
 

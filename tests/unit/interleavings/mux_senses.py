@@ -190,6 +190,7 @@ class MuxMonitor(Monitor):
             MonitorExchange(self.mux_robots.muxes[self.workload].topics, self.process),
             self.reports,
             lambda: ready_names(cluster.pods, agents, cluster.gate.state.active_uid),
+            lambda: [TOPIC],
             loop.act.safety,
         )
         group.create_task(orders.run())

@@ -26,6 +26,9 @@ SWITCHED_BY_MUX = "SwitchedByMux"
 HEARD = 1.0
 """Seconds within which an instance that sends on all outputs was heard on each."""
 
+ON_BOARD_NOTED = 2.0
+"""Seconds for which it counts that the instance on board drove: control may return a moment after the mux is heard again."""
+
 NONCES = 16
 """Orders whose nonces count: the mux may answer an earlier one while the next is under way."""
 
@@ -62,6 +65,8 @@ class MuxReports:
         self._acknowledged: dict[str, float] = {}
         self._rival: tuple[str, float] = ("", -math.inf)
         """Another mux that reports, and when it last did."""
+        self._on_board_at = -math.inf
+        """When the mux last reported that it forwards the instance on board."""
         self._idle_since: float | None = None
         """Since when the mux has reported that it forwarded nothing of the instance to which it had switched by itself."""
         self._changed = asyncio.Event()
@@ -86,6 +91,8 @@ class MuxReports:
         if report.mux != self.mux:
             self.wanted.set()  # no mux carries out an order that does not name it
         self.latest = Received(report, CLOCK.now())
+        if report.on_board:
+            self._on_board_at = self.latest.at
         is_idle = bool(report.token.count) and not report.forwarded
         self._idle_since = (self._idle_since or self.latest.at) if is_idle else None
         if (uid := self._driver()) is not None:
@@ -176,6 +183,11 @@ class MuxReports:
     def known(self, epoch: int) -> Token:
         """Return the newest token that was known when the commit of an epoch was decided: none if another monitor made it."""
         return self._known[1] if self._known[0] == epoch else Token()
+
+    @property
+    def drove_on_board(self) -> bool:
+        """Whether the mux forwards the instance on board, or did a moment ago."""
+        return CLOCK.now() - self._on_board_at < ON_BOARD_NOTED
 
     def driven_on_board(self, epoch: int) -> Report | None:
         """Return the latest report if the mux forwards the instance on board by it, in this epoch of the gate; None if it does not."""

@@ -9,7 +9,7 @@ import asyncio
 import json
 import logging
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -46,12 +46,22 @@ class ActionProxyLink:
     """Keeps the proxy informed until cancelled."""
 
     def __init__(
-        self, socket: Path, view: ClusterView, fleet: PodControl, gate: Gate, agents: AgentConnections, notices: Notices
+        self,
+        socket: Path,
+        view: ClusterView,
+        fleet: PodControl,
+        gate: Gate,
+        agents: AgentConnections,
+        notices: Notices,
+        drove_on_board: Callable[[], bool] = lambda: False,
     ) -> None:
-        """``socket`` is the path of the proxy's socket."""
+        """``socket`` is the path of the proxy's socket.
+
+        ``drove_on_board`` returns whether an instance on board drives, or did a moment ago.
+        """
         self._socket = socket
         self._view, self._fleet, self._gate = view, fleet, gate
-        self._agents, self._notices = agents, notices
+        self._agents, self._notices, self._drove_on_board = agents, notices, drove_on_board
 
     async def run(self) -> None:
         """Connect, send and listen; connect again if the connection ends."""
@@ -140,6 +150,7 @@ class ActionProxyLink:
             "pod_deleted": self._view.pod_deleted,
             "epoch": state.epoch,
             "active": state.active_uid,
+            "on_board": self._drove_on_board(),
             "settled": settled(self._notices.status.health, self._fleet.find(state.active_uid)),
             "rules": [
                 {

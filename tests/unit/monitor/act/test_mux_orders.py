@@ -63,6 +63,7 @@ class Stand:
     def __init__(self, folder: Path, *, token: bytes = TOKEN, **gate: object) -> None:
         self._gate = {"kind": "Mux", **gate}
         self.ready: list[str] = []
+        self.never_silent = ["/cmd_vel"]
         self.safety: Any = SimpleNamespace(of_mux=(), after=0.0)
         self.client, self.reports = MemoryClient(), MuxReports()
         self.view = ClusterView(self.client, "fleet", "w", Wakeups(), KIND)
@@ -116,7 +117,8 @@ class Stand:
         self._robot.close()
 
     async def monitor(self) -> None:
-        await MuxOrders(self.client, self.view, self._monitors, self.reports, lambda: self.ready, self.safety).run()
+        given = lambda: self.ready, lambda: self.never_silent, self.safety
+        await MuxOrders(self.client, self.view, self._monitors, self.reports, *given).run()
 
 
 @asynccontextmanager
@@ -193,6 +195,31 @@ async def test_the_standing_order_ends_with_the_instance_on_board_and_safe_comma
         stand.view.gates.put(await KIND.write(stand.client, "fleet", "w", patch))
         await stand.until("")
         assert stand.mux.control.standing == StandingOrder()
+
+
+async def test_a_silence_counts_only_on_topics_that_must_be_published_now(tmp_path: Path) -> None:
+    stand = Stand(tmp_path, mux={"onBoard": {"name": "home", "after": "2s"}})
+    stand.never_silent = []
+    async with running(stand):
+        await stand.commit("w-1")
+        await stand.until("w-1")
+        assert stand.mux.control.standing == StandingOrder(on_board=OnBoard("home", {})), "it has no goal"
+        stand.never_silent = ["/cmd_vel"]
+        async with asyncio.timeout(20):
+            while stand.mux.control.standing != StandingOrder(on_board=OnBoard("home", {"/cmd_vel": 2.0})):
+                await asyncio.sleep(0.01)
+
+
+async def test_control_returns_from_on_board_to_an_instance_that_has_nothing_to_send(tmp_path: Path) -> None:
+    stand = Stand(tmp_path, mux={"onBoard": {"name": "home", "after": "2s"}})
+    async with running(stand):
+        await stand.commit("w-1")
+        await stand.until("w-1")
+        cut_off = replace(stand.mux.control, source="home", on_board=True, token=Token(CREATED, 5, 1))
+        stand.mux.control, stand.mux.changed = cut_off, True
+        await stand.until("home")
+        stand.ready, stand.never_silent = ["w-1"], []
+        await stand.until("w-1")
 
 
 async def test_control_returns_from_on_board_when_the_mux_hears_the_active_instance_and_it_is_ready(

@@ -44,9 +44,15 @@ def observer(monkeypatch: pytest.MonkeyPatch) -> Iterator[HealthObserver]:
 
 def test_an_output_of_a_task_is_expected_only_while_the_task_is_active(observer: HealthObserver) -> None:
     assert observer.gated == ["/beat", "/cmd_vel"]
-    assert observer.expected == ["/beat"]
+    assert observer.expected == observer.never_silent == ["/beat"]
     begin_task(observer)
-    assert observer.expected == ["/beat", "/cmd_vel"]
+    assert observer.expected == observer.never_silent == ["/beat", "/cmd_vel"]
+
+
+def test_an_output_that_the_health_tree_does_not_watch_is_never_silent(observer: HealthObserver) -> None:
+    observer.follow(_policy({"topic": {"name": "/beat", "gap": "1s"}}), parsed_spec())
+    assert observer.gated == []
+    assert observer.never_silent == ["/cmd_vel"]
 
 
 def test_a_tree_in_xml_replaces_one_in_yaml_and_stays_if_the_next_is_invalid(

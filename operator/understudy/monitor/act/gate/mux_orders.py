@@ -70,11 +70,15 @@ class MuxOrders:
         exchange: Exchange,
         reports: MuxReports,
         ready: Callable[[], Sequence[str]],
+        never_silent: Callable[[], Sequence[str]],
         safety: SafeCommands,
     ) -> None:
-        """``ready`` returns the names of the instances that could drive now, the best one first."""
+        """``ready`` returns the names of the instances that could drive now, the best one first.
+
+        ``never_silent`` returns the topics that the instance in control must publish now: a robot without a goal may stand still.
+        """
         self._client, self._view, self._exchange, self._reports, self._ready = client, view, exchange, reports, ready
-        self._safety = safety
+        self._never_silent, self._safety = never_silent, safety
         self._answered = ""
         """The nonce of the last order that the mux has answered."""
         self._sent: tuple[int, str, float, Token] = (-1, "", 0.0, Token())
@@ -113,14 +117,14 @@ class MuxOrders:
     def _standing(self, record: GateRecord) -> StandingOrder:
         """Return what the mux does without another order.
 
-        Once a topic of the active instance was silent for the deadline of the reflex, it switches to the admitted standby. If there is one,
-        other ready standbys follow, since the API server may be away for longer. The instance on board and safe commands come last, and
-        neither while a user has fenced the robot or paused the workload, or before an instance has driven.
+        Once a topic that the active instance must publish was silent for the deadline of the reflex, it switches to the admitted standby.
+        If there is one, other ready standbys follow, since the API server may be away for longer. The instance on board and safe commands
+        come last, and neither while a user has fenced the robot or paused the workload, or before an instance has driven.
         """
         spec = self._view.spec
         if spec is None:
             return StandingOrder()
-        topics = [output.topic for output in spec.outputs if output.topic]
+        topics = self._never_silent()
         found = StandingOrder()
         if spec.gate.reflex is not None and record.admitted:
             others = (name for name in self._ready() if name not in (record.active, record.admitted))
@@ -142,7 +146,7 @@ class MuxOrders:
         if report is not None and spec is not None and spec.gate.on_board is not None:
             ages, most = report.heard.get(record.active, {}), seconds(spec.gate.on_board.after)
             if record.active in self._ready() and all(
-                ages.get(output.topic, math.inf) < most for output in spec.outputs if output.topic
+                ages.get(topic, math.inf) < most for topic in self._never_silent()
             ):
                 return report.token
         return self._reports.known(record.epoch)

@@ -212,6 +212,12 @@ class HealthObserver:
         counting = self._tree.counting(self._watching, now=now, since=now)
         return [topic for topic in self.gated if topic in counting]
 
+    @property
+    def never_silent(self) -> list[str]:
+        """The outputs that are topics, except those that the active instance need not publish now."""
+        idle = set(self.gated).difference(self.expected)
+        return [topic for topic in self.output_topics if topic not in idle]
+
     def drain(self, instances: Sequence[Instance], active: str, pinned: Sequence[PinnedPod] = ()) -> None:
         """Read the messages that have arrived, and attribute them to the instances that exist or may still send.
 
