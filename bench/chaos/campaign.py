@@ -63,6 +63,9 @@ def run(kubeconfig: Path, namespace: str, options: argparse.Namespace) -> int:
             ]:
                 parts = [pod for pod in witness.pods() if pod.name.startswith(tuple(robot.workload for robot in ill))]
                 discovery.keep(kubectl, parts, folder)
+            if aftermath.leaked:
+                left = kubectl("get", "robotworkloads,pods,replicasets,networkpolicies,leases", "-o", "yaml")
+                (folder / "left.yaml").write_text(left)
             judgements = [_judge(robot, witness, injected, begun, folder) for robot in robots]
     finally:
         _whole(kubectl)
@@ -166,6 +169,7 @@ def _judge(
         servers=witness.servers(robot.workload),
         astray=witness.astray(robot.workload),
         unstarted=witness.unstarted(robot.name),
+        unmuxed=witness.unmuxed(robot.name),
         deleted=witness.deleted(),
         created=witness.created(),
     )
@@ -184,6 +188,7 @@ def _judge(
         astray=seen.astray,
         unled=seen.unled,
         unstarted=seen.unstarted,
+        unmuxed=seen.unmuxed,
         deleted=seen.deleted,
         created=seen.created,
     )

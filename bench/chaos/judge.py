@@ -72,6 +72,9 @@ LISTENS = 6.0
 API = {"api-stop", "api-slow", "api-flap"}
 """The kinds of faults during which nobody learns of changes."""
 
+MUX_STARTS = 3.0
+"""Seconds from the start of a mux's container, a whole second, until it forwards: the process starts, and discovery finds it."""
+
 UNORDERED = {"monitor-kill", "monitor-freeze", "discovery-kill", "mux-kill", "mux-freeze", *NODE_LOST, *API}
 """The kinds of faults during which a commit may not reach a mux: the one before stays in force, for one instance."""
 
@@ -197,6 +200,8 @@ class Seen:
     """From when to when the Service led to no discovery server although one was ready, so that nobody discovered a new process."""
     unstarted: Sequence[tuple[float, float]] = ()
     """From when to when a pod of it existed that no kubelet had begun to start."""
+    unmuxed: Sequence[tuple[float, float]] = ()
+    """From when to when the container of its mux had ended, and a kubelet had not started it again."""
     deleted: Mapping[str, float] = field(default_factory=dict)
     """When each pod that is or was being deleted was first seen to be."""
     created: Mapping[str, float] = field(default_factory=dict)
@@ -247,6 +252,7 @@ class Judgement:
     repaired: list[float] = field(default_factory=list)
     """Seconds from tampering to the last command that it let through, if that was soon enough."""
     unstarted: list[float] = field(default_factory=list)
+    unmuxed: list[float] = field(default_factory=list)
     """Seconds that Kubernetes took until a kubelet began to start a pod, if that was long."""
     astray: list[float] = field(default_factory=list)
     """Seconds for which Kubernetes led nobody to a discovery server that was ready."""
@@ -269,7 +275,7 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
     """Judge one robot."""
     found = Judgement(seen.name)
     seen = replace(seen, commits=_dated(seen.commits, seen.recoveries))
-    theirs = [one for one in injected if (not one.refused or one.is_unsure) and affects(one, seen.index)]
+    theirs = [one for one in injected if (not one.refused or one.is_unsure) and affects(one, seen)]
 
     def violation(what: str, at: float, text: str, since: float | None = None) -> None:
         begin = at - BEFORE if since is None else since - 2.0
@@ -338,6 +344,7 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
         violation("stale command", switch, text)
     found.unled = [end - begin for begin, end in seen.unled]
     found.unstarted = [end - begin for begin, end in seen.unstarted]
+    found.unmuxed = [end - begin for begin, end in seen.unmuxed]
     found.astray = [end - begin for begin, end in seen.astray]
     found.unwatched = [end - LISTENS - begin for begin, end in unwatched(seen, theirs) if not math.isinf(end)]
     lossy = [
@@ -426,9 +433,14 @@ def _dated(commits: Sequence[Commit], recoveries: Sequence[Recovered]) -> list[C
     ]
 
 
-def affects(injected: Injected, robot: int) -> bool:
-    """Return whether a fault may have affected a robot."""
-    return bool(BY_NAME[injected.fault.kind].shared) or injected.fault.robot == robot
+def affects(injected: Injected, seen: Seen) -> bool:
+    """Return whether a fault may have affected a robot.
+
+    A pod that gets the label of another robot's workload is adopted by its ReplicaSet, which then deletes one of its two pods.
+    """
+    label, _, _ = injected.told.partition(" of ")
+    is_named = injected.fault.kind == "label-exchange" and label.partition("=")[2].startswith(f"{seen.name}-")
+    return bool(BY_NAME[injected.fault.kind].shared) or injected.fault.robot == seen.index or is_named
 
 
 def returned(node: str, at: float, injected: Sequence[Injected]) -> float | None:
@@ -565,6 +577,7 @@ def gaps(
         waits = [one.waiting for one in injected if BY_NAME[one.fault.kind].delays]
         waits += unrepaired(seen, injected, a.received, b.received)
         nobodys = [*unwatched(seen, injected), *evicted(seen, injected)]
+        nobodys += [(ended, begun + MUX_STARTS) for ended, begun in seen.unmuxed]
         tried = [one["strategy"] for recovery in found for one in recovery.attempts if one["result"] != "NotAvailable"]
         if not found or {"Restart", "Fallback/Uninitialized"} & set(tried):
             nobodys += [*seen.unstarted, *((first, last + LISTENS) for first, last in seen.astray)]

@@ -93,6 +93,8 @@ def summarize(
         report.figure("time in which a Service led to no discovery server", astray, unit="s")
     if unstarted := [seconds for judgement in judgements for seconds in judgement.unstarted]:
         report.figure("time until a kubelet began to start a pod", unstarted, unit="s")
+    if unmuxed := [seconds for judgement in judgements for seconds in judgement.unmuxed]:
+        report.figure("time until a kubelet started a killed mux again", unmuxed, unit="s")
     if unwatched := [seconds for judgement in judgements for seconds in judgement.unwatched]:
         report.figure("time without a monitor after the loss of its node", unwatched, unit="s")
     counted("gaps beyond the bound of the strategy", "gap")

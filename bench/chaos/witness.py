@@ -111,6 +111,8 @@ class Witness:
         self._created: dict[str, float] = {}
         self._evicted: dict[str, tuple[str, float]] = {}
         """By the UID of a monitor's pod: its workload, and when it was first seen to be evicted."""
+        self._unmuxed: dict[str, set[tuple[float, float]]] = {}
+        """By the label ``app`` of a robot: from when to when the container of its mux did not run."""
         self._read: dict[Path, int] = {}
         self.tracebacks: list[Traceback] = []
         self._ended = threading.Event()
@@ -179,6 +181,10 @@ class Witness:
             for labels, created, begun in self._begun.values()
             if begun - created > STARTS_WITHIN and any(value.startswith(f"{robot}-") for value in labels)
         ]
+
+    def unmuxed(self, robot: str) -> list[tuple[float, float]]:
+        """Return from when to when the container of a robot's mux had ended, and a kubelet had not started it again."""
+        return sorted(self._unmuxed.get(robot, set()))
 
     def servers(self, workload: str) -> list[tuple[float, str]]:
         """Return when a discovery server's pod of a workload became ready, and on which node, in order."""
@@ -306,6 +312,7 @@ class Witness:
         if metadata.get("deletionTimestamp"):
             self._deleted.setdefault(metadata["name"], now)
         found = metadata.get("labels") or {}
+        self._unmuxed.setdefault(found.get("app", ""), set()).update(restarts(item, "mux"))
         if found.get(names.COMPONENT) == "monitor" and kube_objects.evicted(item):
             self._evicted.setdefault(metadata["uid"], (found.get(names.MONITORED, ""), now))
 
@@ -360,6 +367,14 @@ def between(spans: Iterable[tuple[float, float]]) -> Iterator[tuple[float, float
         if begin > reached:
             yield reached, begin
         reached = end if math.isinf(reached) else max(reached, end)
+
+
+def restarts(pod: Object, container: str) -> Iterator[tuple[float, float]]:
+    """Yield when a container of a pod ended, and when it was started again the last time. The seconds are whole."""
+    for one in (pod.get("status") or {}).get("containerStatuses") or []:
+        ended, begun = (one.get("lastState") or {}).get("terminated"), (one.get("state") or {}).get("running")
+        if one["name"] == container and ended and begun:
+            yield unix(ended["finishedAt"]), unix(begun["startedAt"])
 
 
 def tracebacks(text: str, source: str, at: float) -> Iterator[Traceback]:

@@ -331,6 +331,27 @@ def test_a_new_monitor_that_never_heard_the_instance_listened_for_the_seconds_th
     assert whats(judged(commands, lossy, recoveries=[recovery(10.5, 10.6)])) == ["false failover"]
 
 
+def test_a_gap_is_not_longer_by_the_time_until_a_kubelet_starts_a_mux_again() -> None:
+    commands = log(drive("a", 1, 10), drive("a", 35, 60))
+    given: dict[str, Any] = {"muxed": True, "commits": [Commit(0.0, 1, ("a",))]}
+    killed = fault("mux-kill", 10.02)
+    assert whats(judged(commands, killed, **given)) == ["gap"]
+    found = judged(commands, killed, unmuxed=[(10.0, 33.0)], **given)
+    assert (whats(found), found.unmuxed) == ([], [23.0])
+    assert whats(judged(commands, killed, unmuxed=[(10.0, 25.0)], **given)) == ["gap"]
+
+
+def test_a_label_that_names_another_robot_s_workload_concerns_that_robot_too() -> None:
+    other = replace(
+        fault("label-exchange", 9.98, robot=5), told="understudy.dev/workload=robot-1-drive of robot-6-drive-x"
+    )
+    replaced = recovery(10.05, 10.6, reason="pod a is being deleted")
+    commands = log(drive("a", 1, 10.1), drive("b", 10.65, 20))
+    assert whats(judged(commands, other, recoveries=[replaced])) == []
+    elsewhere = replace(other, told="understudy.dev/workload=robot-7-drive of robot-6-drive-x")
+    assert whats(judged(commands, elsewhere, recoveries=[replaced])) == ["false failover"]
+
+
 def test_a_gap_is_not_longer_by_the_time_until_a_kubelet_begins_to_start_a_pod() -> None:
     commands, commits = log(drive("a", 1, 10), drive("b", 90, 99)), [Commit(0.0, 1, ("a",)), Commit(90.0, 2, ("b",))]
     found = {"commits": commits, "recoveries": [recovery(11.0, 90.0, "Restart")]}

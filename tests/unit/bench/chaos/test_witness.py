@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 import pytest
 
 from bench.chaos.judge import LAG
-from bench.chaos.witness import commit_of, unled
+from bench.chaos.witness import commit_of, restarts, unled
 from understudy.api import names
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import Object
@@ -53,3 +53,17 @@ def test_an_operator_that_renewed_its_lease_once_did_not_lead() -> None:
     again = [70.0 + second for second in range(0, 20, 2)]
     assert unled([*led, 60.0, *again]) == [(18.0, 70.0)]
     assert unled([*led, 40.0, 42.0, *again]) == [(18.0, 40.0), (42.0, 70.0)]
+
+
+def test_the_time_until_a_kubelet_starts_a_container_again_is_known() -> None:
+    def container(name: str, state: Object) -> Object:
+        ended = {"terminated": {"finishedAt": "2026-11-28T18:03:45Z"}}
+        return {"name": name, "lastState": ended, "state": state}
+
+    running = {"running": {"startedAt": "2026-11-28T18:03:57Z"}}
+    pod: Object = {"status": {"containerStatuses": [container("robot", running), container("mux", running)]}}
+    ((ended, begun),) = restarts(pod, "mux")
+    assert begun - ended == 12.0
+    waiting: Object = {"status": {"containerStatuses": [container("mux", {"waiting": {"reason": "CrashLoopBackOff"}})]}}
+    assert list(restarts(waiting, "mux")) == []
+    assert list(restarts({}, "mux")) == []
