@@ -238,6 +238,10 @@ class Outputs(Protocol):
     def expected(self) -> Sequence[str]:
         """Gated topics that the health tree watches now. The active instance must publish each of them."""
 
+    @property
+    def blind(self) -> bool:
+        """Whether DDS discovery has reported nobody to this process: an output that does not arrive says nothing about its instance then."""
+
     async def first_from(self, instance: Instance, *, since: float) -> float | None:
         """Wait for a sample of each expected topic from the instance, received at ``since`` or later; return when the first came.
 

@@ -363,6 +363,27 @@ async def test_an_outage_of_the_api_server_fails_no_standby() -> None:
     assert re.fullmatch("the API server did not answer for (0.[89]|1.0) s", done.attempts[0].message)
 
 
+async def test_a_monitor_that_has_discovered_nobody_yet_fails_no_standby() -> None:
+    store = protected(pool="hot")
+    world, store.blind = World(store), True
+    asyncio.get_running_loop().call_later(3 * VERIFY_WITHIN, setattr, store, "blind", False)
+    done = await recover(failure(world), choices(ExecutingFallback("hot"), Restart()), world.context())
+    assert (done.result, done.strategy) == ("Recovered", "Fallback/Executing")
+    assert [(attempt.pod, attempt.result) for attempt in done.attempts] == [("w-2", "Verified")]
+    assert (store.commits, store.deleted) == (["w-2"], ["w-1"]), "it is not fenced while it may drive"
+    assert re.fullmatch("DDS discovery reported nobody to the monitor for (0.[89]|1.0) s", done.attempts[0].message)
+
+
+async def test_a_standby_that_is_lost_is_given_up_also_by_a_monitor_that_has_discovered_nobody() -> None:
+    store = protected(pool="hot")
+    world, store.blind = World(store), True
+    gone = lambda: store.pods.__setitem__("w-2", replace(store.pods["w-2"], terminating=True))  # noqa: E731
+    asyncio.get_running_loop().call_later(2 * VERIFY_WITHIN, gone)
+    asyncio.get_running_loop().call_later(4 * VERIFY_WITHIN, setattr, store, "blind", False)
+    done = await recover(failure(world), choices(ExecutingFallback("hot"), Restart()), world.context())
+    assert (done.result, done.strategy) == ("Recovered", "Restart")
+
+
 async def test_no_instance_is_asked_for_test_packets_before_an_api_server_that_was_away_has_committed() -> None:
     store = protected(pool="hot")
     world, store.away = World(store), True

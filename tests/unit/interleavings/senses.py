@@ -75,7 +75,7 @@ class HealthObserver:
         self._senders = KnownSenders()
         self.known_since: dict[str, float] = {}
         """By UID, since when (Unix seconds) it knows an instance."""
-        self.graph = self
+        self.graph, self.is_alone = self, False
 
     def command_safely(self) -> None:
         """This monitor sends its robot a safe command."""
@@ -214,6 +214,8 @@ class Outputs:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(within):
                     await self._robots.wait(self._workload)
+
+    blind = False
 
     async def heard_held_back(self, instance: Instance) -> None:
         return

@@ -48,6 +48,10 @@ class NoOutputs(Outputs):
     async def first_from(self, instance: Instance, *, since: float) -> float | None:
         return None
 
+    @property
+    def blind(self) -> bool:
+        return False
+
     async def heard_held_back(self, instance: Instance) -> None:
         return
 

@@ -27,6 +27,16 @@ SERVICE = Output(service="/snap", type="std_srvs/srv/Trigger")
 ACTION = Output(action="/goto", type="test_msgs/action/Fibonacci")
 
 
+def test_a_node_is_alone_until_discovery_has_reported_another_one(graph, eventually):
+    assert graph.is_alone
+    other = Graph("other")
+    try:
+        eventually(lambda: not graph.is_alone)
+    finally:
+        other.close()
+    eventually(lambda: graph.is_alone)
+
+
 def test_endpoints_of_topics_services_and_actions_are_found(graph, processes, eventually):
     assert [graph.endpoints(output) for output in (TOPIC, SERVICE, ACTION)] == [[], [], []]
     processes.node("publish", "/chat", "10")

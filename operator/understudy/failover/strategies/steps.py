@@ -256,23 +256,30 @@ async def give_state_and_bring_up(
 
 @dataclass
 class Outage:
-    """For how long the API server did not answer during an attempt."""
+    """For how long during an attempt the API server did not answer, or this process could see nobody."""
 
     seconds: float = 0.0
+    blind: float = 0.0
+    """Seconds besides in which discovery had reported nobody to this process."""
 
     def beside(self, message: str = "") -> str:
-        """Return a message about the attempt that names the outage too, if it was long enough to matter."""
-        if self.seconds < OUTAGE_REPORTED:
+        """Return a message about the attempt that names what does not count too, if it was long enough to matter."""
+        found = []
+        if self.seconds >= OUTAGE_REPORTED:
+            found.append(f"the API server did not answer for {self.seconds:.1f} s")
+        if self.blind >= OUTAGE_REPORTED:
+            found.append(f"DDS discovery reported nobody to the monitor for {self.blind:.1f} s")
+        if not found:
             return message
-        away = f"the API server did not answer for {self.seconds:.1f} s"
+        away = " and ".join(found)
         return f"{message}; {away}, which do not count" if message else away
 
 
 @asynccontextmanager
 async def answered_time(within: float, context: StrategyContext, outage: Outage | None = None) -> AsyncIterator[None]:
-    """Limit the context to ``within`` seconds in which the API server answers and this process runs.
+    """Limit the context to ``within`` seconds in which the API server answers, and this process runs and has discovered somebody.
 
-    An outage of the control plane says nothing about an understudy: it is added to ``outage``. Raises TimeoutError.
+    An outage of the control plane or of discovery says nothing about an understudy: it is added to ``outage``. Raises TimeoutError.
     """
     async with asyncio.timeout(None) as limit:
         charging = asyncio.create_task(_charge(limit, within, context, outage or Outage()))
@@ -289,8 +296,11 @@ async def _charge(limit: asyncio.Timeout, within: float, context: StrategyContex
         await asyncio.sleep(min(OUTAGE_CHECK_PERIOD, left))
         since, now = context.gate.unanswered_since, loop.time()
         answered = now - counted_until if since is None else max(0.0, since - counted_until)
-        charged += min(answered, 2 * OUTAGE_CHECK_PERIOD)  # a longer sleep means that the process was stalled
         outage.seconds += now - counted_until - answered
+        if context.outputs.blind:
+            outage.blind += answered
+        else:
+            charged += min(answered, 2 * OUTAGE_CHECK_PERIOD)  # a longer sleep means that the process was stalled
         counted_until = now
     limit.reschedule(loop.time())
 

@@ -68,6 +68,11 @@ class Graph:
         self.node = plain_node(name, self._context)
         self.name = self.node.get_fully_qualified_name()
 
+    @property
+    def is_alone(self) -> bool:
+        """Whether discovery has reported no other node, not even one whose name it has not learned yet."""
+        return len(self.node.get_node_names_and_namespaces()) <= 1
+
     def subscribe(
         self, topic: str, type_name: str, *, depth: int, latched: bool = False, reliable: bool = False
     ) -> Any:

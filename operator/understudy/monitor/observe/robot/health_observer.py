@@ -443,6 +443,11 @@ class GatedReaders:
         """The gated topics that the active instance must publish now."""
         return self._observer.expected
 
+    @property
+    def blind(self) -> bool:
+        """Whether discovery has reported nobody to this monitor."""
+        return self._observer.graph.is_alone
+
     async def first_from(self, instance: Instance, *, since: float) -> float | None:
         """Wait for a sample of each expected topic from the instance, received after ``since``. Returns when the first arrived.
 
