@@ -240,7 +240,7 @@ class Outputs(Protocol):
 
     @property
     def blind(self) -> bool:
-        """Whether DDS discovery has reported nobody to this process: an output that does not arrive says nothing about its instance then."""
+        """Whether DDS discovery has reported nobody to this process. Then a missing output says nothing about its instance."""
 
     async def first_from(self, instance: Instance, *, since: float) -> float | None:
         """Wait for a sample of each expected topic from the instance, received at ``since`` or later; return when the first came.

@@ -83,6 +83,8 @@ class Forwarder:
         """The outputs of the present instance that were forwarded."""
         self._looked = clock()
         """When :meth:`drain` was called last."""
+        self._look_at = -math.inf
+        """Before this time, no standing order can be due."""
         self._commanded: dict[str, float] = {}
         """When the last safe command was sent, by topic."""
         self._safe_sent = 0
@@ -105,8 +107,10 @@ class Forwarder:
                     self.changed = True
         if self._forwarded and math.isnan(self._first):
             self._first = now
-        self._switch(now)
-        self._command(now)
+        if now >= self._look_at:  # each sample makes it later
+            self._switch(now)
+            self._command(now)
+            self._look_at = min(self._dues)
 
     def _switch(self, now: float) -> None:
         if (found := switched(self.control, self._heard, now)) is None:
@@ -148,13 +152,20 @@ class Forwarder:
     @property
     def due_at(self) -> float:
         """When :meth:`drain` must be called at the latest, although nothing arrives."""
-        switches, begins = due_at(self.control, self._heard), undriven_at(self.control, self._heard)
-        if switches <= self._looked:  # it was judged: nobody else was heard, and only an arrival changes that
-            switches = math.inf
+        if self._look_at > self._looked:
+            return self._look_at
+        switches, *commands = self._dues
+        # It was judged: nobody else was heard, and only an arrival changes that.
+        return min([switches if switches > self._looked else math.inf, *commands])
+
+    @property
+    def _dues(self) -> list[float]:
+        """When the present instance has been silent for too long, and when each safe command is due, if nobody is heard until then."""
+        begins = undriven_at(self.control, self._heard)
         commands = (
             max(begins, self._commanded.get(safe.topic, -math.inf) + safe.every) for safe in self.control.standing.safe
         )
-        return min([switches, *commands])
+        return [due_at(self.control, self._heard), *commands]
 
     def order(self, text: str) -> None:
         """Carry out an order, unless it is refused. A text that is no authentic order is ignored.
@@ -230,7 +241,7 @@ class Forwarder:
             self._since, self._first, self._forwarded, self._begun = now, math.nan, 0, set()
             for route in self._routes:
                 route.forget()
-        self.control, self.changed = control, True
+        self.control, self.changed, self._look_at = control, True, -math.inf
 
     def _judging(self, output: str, now: float) -> Callable[[bytes], bool | None]:
         """Return a function that notes a sample of an output by its writer, and returns whether it is forwarded.
