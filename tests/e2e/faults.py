@@ -8,6 +8,7 @@ import signal
 import subprocess
 import threading
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from testcluster.local import layout as layouts
@@ -176,6 +177,34 @@ def _processes(pod_uid: str) -> Iterator[tuple[Path, str]]:
         except (FileNotFoundError, ProcessLookupError):
             continue
         yield entry, command
+
+
+@dataclass(frozen=True)
+class Interface:
+    """A network interface of a pod besides that of the pod network."""
+
+    pid: int
+    """A process of the pod."""
+    name: str
+
+    @property
+    def received(self) -> int:
+        """Packets that it has received."""
+        lines = Path(f"/proc/{self.pid}/net/dev").read_text().splitlines()
+        return next(int(line.split()[2]) for line in lines if line.split()[0] == f"{self.name}:")
+
+
+def join(first_uid: str, second_uid: str, name: str = "net1") -> tuple[Interface, Interface]:
+    """Give two pods an interface each, joined by a cable. Their processes use it once they are started again."""
+    # The first process of a pod is its pause process, which lasts as long as the pod.
+    ends = [Interface(min(process_ids(uid)), name) for uid in (first_uid, second_uid)]
+    cable = ("ip", "link", "add", name, "netns", str(ends[0].pid), "type", "veth")
+    subprocess.run([*cable, "peer", "name", name, "netns", str(ends[1].pid)], check=True)
+    for number, end in enumerate(ends, 1):
+        within = ("nsenter", f"--net=/proc/{end.pid}/ns/net", "ip")
+        subprocess.run([*within, "address", "add", f"10.77.0.{number}/24", "dev", name], check=True)
+        subprocess.run([*within, "link", "set", name, "up"], check=True)
+    return ends[0], ends[1]
 
 
 class Switch:

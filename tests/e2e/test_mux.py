@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import signal
+import time
+
 import pytest
 
-from tests.e2e.faults import Network
+from tests.e2e.faults import Network, join, signal_processes
 from tests.e2e.kubectl import Kubectl, Object
 from tests.e2e.scenario import Robot, eventually, manifest, never, patient
 from tests.e2e.test_strategies import assert_handed_over
@@ -114,4 +117,25 @@ def test_a_network_that_enforces_no_policy_makes_no_difference(kubectl: Kubectl,
     robot.fail(first, "frozen")
     recovery = robot.wait_recovered(1)
     assert recovery.strategy == "Fallback/Executing", recovery
+    assert_handed_over(robot, recovery)
+
+
+@pytest.mark.local_only
+def test_a_standby_with_a_second_interface_to_the_robot_does_not_reach_it_but_by_the_mux(kubectl: Kubectl) -> None:
+    robot = muxed(kubectl, "executing")
+    first = robot.wait_protected()
+    (standby,) = (pod["metadata"] for pod in robot.pods() if pod["metadata"]["name"] != first)
+    itself = kubectl.get("pod", robot.robot_pod())["metadata"]
+    _, cable = join(standby["uid"], itself["uid"])
+    robot.signal(standby["name"], "KILL")
+    for words in ("understudy_quickstart.robot", "mux"):
+        assert signal_processes(itself["uid"], words, signal.SIGKILL)
+    robot.wait_standby()
+    at, began = cable.received, time.time()
+    time.sleep(3)
+    assert cable.received - at > 50, "the standby sends by its second interface too"
+    never([c for c in robot.log().commands if c.received > began and c.source != first], "commands of the standby")
+    robot.fail(first, "frozen")
+    recovery = robot.wait_recovered(1)
+    assert (recovery.strategy, recovery.new) == ("Fallback/Executing", standby["name"]), recovery
     assert_handed_over(robot, recovery)
