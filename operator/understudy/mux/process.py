@@ -35,9 +35,6 @@ STATE = Path(names.STATE_DIR)
 REPORT_PERIOD = 1.0
 """Seconds between two reports if nothing changes."""
 
-FOLLOW_PERIOD, LIST_PERIOD = 0.2, 2.0
-"""Seconds between two looks whether the number of writers or readers has changed, and between two lists of them."""
-
 NAMED_WITHIN = 25.0
 """Seconds after which a writer counts although its node has no name. Discovery reports names after writers, and reports the writers of a
 process that was killed, such as a former mux, for 20 s and without a name."""
@@ -178,20 +175,12 @@ async def _follow(
 
     found = WriterInstances(os.environ.get(names.ADDRESS_VARIABLE, ""))
     forwarder.instances = found.names
-    counts: list[tuple[int, int]] = []
     since: dict[bytes, float] = {}
-    again = 0.0
-    while True:
-        now, counted = time.monotonic(), [route.counts() for route in routes]
-        if counted != counts or now >= again:
-            counts, again = counted, now + LIST_PERIOD
-            present = _look(routes, forwarder, allowed, found.names, since, now)
-            if await found.update(present):
-                learned()
-                again = 0.0
-            elif present - found.names.keys():
-                again = 0.0
-        await asyncio.sleep(FOLLOW_PERIOD)
+    await found.follow(
+        lambda: tuple(route.counts() for route in routes),
+        lambda: _look(routes, forwarder, allowed, found.names, since, time.monotonic()),
+        learned,
+    )
 
 
 def _look(

@@ -6,14 +6,19 @@ discovery is asked only for writers that are new.
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import os
 import socket
-from collections.abc import Collection
+import time
+from collections.abc import Callable, Collection, Hashable
 
 from understudy.ros.rmw import MIDDLEWARE
 
 _logger = logging.getLogger(__name__)
+
+COUNT_PERIOD, LIST_PERIOD = 0.2, 2.0
+"""Seconds between two looks whether the number of writers has changed, and between two lists of them."""
 
 DISCOVERED_WITHIN = 1.0
 """Seconds that discovery has to report the partition of a writer, before it is asked again."""
@@ -27,6 +32,32 @@ class WriterInstances:
         self._address = address
         self.names: dict[bytes, str] = {}
         """The name of the pod, by the GID of a writer; empty for a writer of no instance."""
+
+    async def follow(
+        self,
+        counts: Callable[[], Hashable],
+        look: Callable[[], Collection[bytes]],
+        learned: Callable[[], None],
+    ) -> None:
+        """Follow the writers until cancelled.
+
+        Args:
+            counts: Returns the numbers of writers and of whatever else ``look`` depends on: far cheaper than a list.
+            look: Returns the GIDs of the writers that are present. It is called again as soon as one of them was learned.
+            learned: Called when discovery has reported new writers.
+        """
+        known: Hashable = None
+        again = 0.0
+        while True:
+            now, counted = time.monotonic(), counts()
+            if counted != known or now >= again:
+                known, again = counted, now + LIST_PERIOD
+                present = look()
+                if has_learned := await self.update(present):
+                    learned()
+                if has_learned or set(present) - self.names.keys():
+                    again = 0.0
+            await asyncio.sleep(COUNT_PERIOD)
 
     async def update(self, present: Collection[bytes]) -> bool:
         """Forget the writers that are gone, and ask for those that are new. Returns whether discovery has reported any."""

@@ -49,9 +49,6 @@ CHECK_PERIOD = 0.002
 HELD_BACK_PERIOD = 0.05
 """Seconds between checks while a planned switchover waits until the mux hears the understudy."""
 
-WRITERS_PERIOD, WRITERS_AGAIN = 0.2, 2.0
-"""Seconds between two looks whether the number of writers of an output has changed, and between two lists of them."""
-
 POD_CHECK_PERIOD = 0.1
 """Seconds after which the state of the active pod is passed to the trees again."""
 
@@ -328,16 +325,12 @@ class HealthObserver:
 
     async def follow_writers(self) -> None:
         """Attribute the samples on outputs to instances by their writers, until cancelled. Only a mux needs it."""
-        found, again = WriterInstances(self._address), 0.0
-        counts: tuple[int, ...] = ()
-        while True:
-            now, topics = time.monotonic(), self.output_topics
-            counted = tuple(self.graph.publisher_count(topic) for topic in topics)
-            if counted != counts or now >= again:
-                counts, again = counted, now + WRITERS_AGAIN
-                await found.update({end.gid for topic in topics for end in self.graph.publishers(topic)})
-                self._watching.attribute_writers(found.names)
-            await asyncio.sleep(WRITERS_PERIOD)
+        found = WriterInstances(self._address)
+        await found.follow(
+            lambda: tuple(self.graph.publisher_count(topic) for topic in self.output_topics),
+            lambda: {end.gid for topic in self.output_topics for end in self.graph.publishers(topic)},
+            lambda: self._watching.attribute_writers(found.names),
+        )
 
     def discovered(self, instance: Instance) -> bool | None:
         """Return whether discovery has found an endpoint of an output on an instance's host; None if that cannot be known.
