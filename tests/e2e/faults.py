@@ -201,10 +201,18 @@ def join(first_uid: str, second_uid: str, name: str = "net1") -> tuple[Interface
     cable = ("ip", "link", "add", name, "netns", str(ends[0].pid), "type", "veth")
     subprocess.run([*cable, "peer", "name", name, "netns", str(ends[1].pid)], check=True)
     for number, end in enumerate(ends, 1):
-        within = ("nsenter", f"--net=/proc/{end.pid}/ns/net", "ip")
-        subprocess.run([*within, "address", "add", f"10.77.0.{number}/24", "dev", name], check=True)
-        subprocess.run([*within, "link", "set", name, "up"], check=True)
+        _ip(end.pid, "address", "add", f"10.77.0.{number}/24", "dev", name)
+        _ip(end.pid, "link", "set", name, "up")
     return ends[0], ends[1]
+
+
+def detour(pod_uid: str, address: str) -> None:
+    """Let nothing that a pod sends to one address arrive any more."""
+    _ip(min(process_ids(pod_uid)), "route", "add", "blackhole", f"{address}/32")
+
+
+def _ip(pid: int, *arguments: str) -> None:
+    subprocess.run(["nsenter", f"--net=/proc/{pid}/ns/net", "ip", *arguments], check=True)
 
 
 class Switch:

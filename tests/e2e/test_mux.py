@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from tests.e2e.faults import Network, join, signal_processes
+from tests.e2e.faults import Network, detour, join, signal_processes
 from tests.e2e.kubectl import Kubectl, Object
 from tests.e2e.scenario import Robot, eventually, manifest, never, patient
 from tests.e2e.test_strategies import assert_handed_over
@@ -138,4 +138,17 @@ def test_a_standby_with_a_second_interface_to_the_robot_does_not_reach_it_but_by
     robot.fail(first, "frozen")
     recovery = robot.wait_recovered(1)
     assert (recovery.strategy, recovery.new) == ("Fallback/Executing", standby["name"]), recovery
+    assert_handed_over(robot, recovery)
+
+
+@pytest.mark.local_only
+def test_an_instance_that_reaches_the_monitor_and_not_the_robot_is_replaced(kubectl: Kubectl) -> None:
+    robot = muxed(kubectl, "executing")
+    first = robot.wait_protected()
+    robot.wait_standby()
+    itself = kubectl.get("pod", robot.robot_pod())["status"]["podIP"]
+    detour(kubectl.get("pod", first)["metadata"]["uid"], itself)
+    recovery = robot.wait_recovered(1)
+    assert (recovery.strategy, recovery.old) == ("Fallback/Executing", first), recovery
+    assert "does not hear /cmd_vel" in recovery.reason
     assert_handed_over(robot, recovery)

@@ -22,6 +22,7 @@ from understudy.kube.gates.base import GateRecord
 from understudy.kube.gates.mux_reports import SILENT, MuxReports
 from understudy.monitor.act.gate.mux_orders import MuxOrders, ready_names
 from understudy.monitor.loop import MonitorLoop, Parts
+from understudy.monitor.observe.robot import health_observer as observer
 from understudy.monitor.observe.robot.health_observer import ForwardedOutputs
 from understudy.monitor.observe.robot.known_senders import OutputSender
 
@@ -79,6 +80,12 @@ class MuxSight(HealthObserver):
         self._process, self._links, self._reports = process, robots, reports
         self._streams: dict[str, Stream] = {}
         robots.listen(workload, self)
+
+    unreached = observer.HealthObserver.unreached
+
+    @property
+    def _forwarding(self) -> MuxReports:
+        return self._reports
 
     @property
     def listens(self) -> bool:

@@ -77,6 +77,10 @@ class HealthObserver:
         """By UID, since when (Unix seconds) it knows an instance."""
         self.graph, self.is_alone = self, False
 
+    def unreached(self, pod: str) -> str:
+        """No topic: whether the robot receives an instance is not known."""
+        return ""
+
     def command_safely(self) -> None:
         """This monitor sends its robot a safe command."""
         self._robots.commanded_safely(self._workload)

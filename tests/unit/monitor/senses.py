@@ -88,6 +88,8 @@ class GivenObserver(HealthObserver):
         """The processes from which outputs of each pod were received."""
         self.twins: set[str] = set()
         """Pods that cannot be distinguished from others."""
+        self.missed = ""
+        """A topic that a mux at the robot does not hear."""
         self.undiscovered: set[str] = set()
         """UIDs of the instances of which discovery has found no output."""
         self.is_alone = False
@@ -106,6 +108,9 @@ class GivenObserver(HealthObserver):
 
     def follow(self, policy: FailurePolicySpec, spec: RobotWorkloadSpec | None) -> None:
         return
+
+    def unreached(self, pod: str) -> str:
+        return self.missed
 
     def drain(self, instances: Sequence[Instance], active: str, pinned: Sequence[PinnedPod] = ()) -> None:
         return

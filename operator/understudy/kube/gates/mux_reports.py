@@ -137,6 +137,12 @@ class MuxReports:
             return {}
         return {output: found.at - age for output, age in found.report.heard.get(found.report.source, {}).items()}
 
+    def last_heard(self, source: str, output: str) -> float:
+        """Return when the mux last heard an output of an instance, by its latest report and the process's clock; -inf if it has not."""
+        found = self.latest
+        age = found.report.heard.get(source, {}).get(output) if found is not None else None
+        return found.at - age if found is not None and age is not None else -math.inf
+
     def hears(self, source: str, outputs: Iterable[str]) -> bool:
         """Return whether the mux hears each of these outputs of an instance, whether it forwards the instance or not."""
         ages = self.latest.report.heard.get(source, {}) if self.latest is not None else {}

@@ -26,6 +26,10 @@ agent."""
 HEARD_GRACE = 1.0
 """The same for an instance that this monitor has heard before, for example before somebody deleted the gate: discovery is done."""
 
+UNREACHED = 4.0
+"""Seconds for which the mux at the robot must report that it misses what this monitor receives. A mux that starts again has learned of the
+writers by then."""
+
 DEAD_AFTER = 0.1
 """Seconds without an output after which a pod without an object counts as dead."""
 
@@ -73,6 +77,8 @@ class FailureDetector:
         self._expected_since = 0.0
         self._is_presumed_lost = False
         """Whether the instance is expected only because its node seems to be lost."""
+        self._unreached_since = math.inf
+        """Since when the mux at the robot has not heard it, although this monitor has; by the process's clock."""
 
     @property
     def since(self) -> float:
@@ -91,6 +97,7 @@ class FailureDetector:
     def _judge_since(self, since: float) -> None:
         self._watched = self._gate.state.active_uid
         self._since, self._heard_from, self._is_presumed_lost = since, None, False
+        self._unreached_since = math.inf
 
     def lost(self, active: Instance | None, now: float) -> tuple[Failure | None, float | None] | None:
         """Return the failure if the active pod is lost, or when to check again. None if the pod is not lost. Needs no health tree.
@@ -150,7 +157,21 @@ class FailureDetector:
                 heard = [sign for sign in (last_well, *(o.last for o in status.outputs.values())) if sign is not None]
                 onset = min(now, max(status.ready_at, *heard)) if heard else now
                 return Verdict("Failed", status.reason, verdict.leaf, onset)
-        return verdict
+        return self._reaching(active, verdict) if verdict.state == "Healthy" else verdict
+
+    def _reaching(self, active: Instance, verdict: Verdict) -> Verdict:
+        """Return the verdict on an instance whose outputs are healthy where this monitor is. They must arrive at the robot too."""
+        if not (topic := self._observer.unreached(active.name)):
+            self._unreached_since = math.inf
+            return verdict
+        self._unreached_since = min(self._unreached_since, CLOCK.now())
+        if CLOCK.now() - self._unreached_since < UNREACHED:
+            return verdict
+        words = (
+            f"the mux at the robot does not hear {topic} of {active.name}, which this monitor receives: the instance does not reach the "
+            "robot"
+        )
+        return Verdict("Failed", words, verdict.leaf, CLOCK.to_system(self._unreached_since))
 
     def _look_for(self, active: Instance, now: float, since: float) -> None:
         """Shorten the grace of an instance that had driven before this monitor started, once discovery has found it.

@@ -12,6 +12,7 @@ from tests.unit.monitor.cluster_objects import ClusterObjects
 from tests.unit.monitor.senses import GivenObserver, GivenSenses
 from understudy.api.kinds.failure_policy import Monitoring
 from understudy.api.protocol.agent_messages import AgentStatus, OutputCount
+from understudy.clock import CLOCK
 from understudy.failover.interfaces import GateState, Instance
 from understudy.monitor.judge.failure_detection import KNOWN_GRACE, FailureDetector
 from understudy.trees.core.health_tree import HealthTree, Verdict
@@ -374,3 +375,28 @@ def test_an_instance_that_its_agent_reports_has_less_time_to_be_heard_if_it_was_
     start = judging.since
     assert judging.verdict(ACTIVE, start + within - 0.1).state == "Starting"
     assert judging.verdict(ACTIVE, start + within + 0.1).state == "Failed"
+
+
+def test_an_instance_that_the_mux_at_the_robot_does_not_hear_has_failed_although_this_monitor_receives_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monitoring = Monitoring.model_validate({"yaml": {"topic": {"name": "/cmd_vel", "gap": "500ms"}}})
+    tree, record = load_monitoring(monitoring), TopicRecord()
+    observer = Evaluating(tree, record)
+    judging = detector(observer=observer)
+    begun = judging.since
+    tree.begin(begun)
+
+    def state_after(seconds: float) -> str:
+        monkeypatch.setattr(CLOCK, "now", lambda: CLOCK.of_system(begun + seconds))
+        record.add(begun + seconds)
+        return judging.verdict(ACTIVE, begun + seconds + 0.1).state
+
+    observer.missed = "/cmd_vel"
+    assert [state_after(at) for at in (1.0, 4.9)] == ["Healthy", "Healthy"], "a mux that starts again learns of it"
+    assert state_after(5.1) == "Failed"
+    assert judging.verdict(ACTIVE, begun + 5.2).reason.startswith("the mux at the robot does not hear /cmd_vel of w-1")
+    observer.missed = ""
+    assert state_after(5.3) == "Healthy"
+    observer.missed = "/cmd_vel"
+    assert state_after(6.0) == "Healthy", "it counts from then on"

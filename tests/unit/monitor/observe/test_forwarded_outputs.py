@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, cast
@@ -112,3 +113,19 @@ async def test_a_writer_beside_the_mux_is_an_unknown_sender(observer: HealthObse
     reports.add(replace(REPORT, strangers=("/cmd_vel by /teleop",)))
     (sender,) = observer.output_senders()
     assert (sender.topic, sender.name, sender.uid) == ("/cmd_vel", "/teleop", "")
+
+
+async def test_a_topic_that_the_mux_misses_is_known_by_what_this_monitor_receives(
+    observer: HealthObserver, reports: MuxReports, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    received = [time.time() - age for age in (9.0, 2.0, 0.1)]
+    monkeypatch.setattr(observer, "arrivals", lambda topic, pod: received)
+    assert observer.unreached("w-1") == "", "no mux reports"
+    reports.add(replace(REPORT, heard={"w-1": {"/cmd_vel": 2.0}}))
+    assert observer.unreached("w-1") == "", "the latest may be on its way"
+    reports.add(replace(REPORT, heard={"w-1": {"/cmd_vel": 9.0}}))
+    assert observer.unreached("w-1") == "/cmd_vel"
+    reports.add(replace(REPORT, heard={"w-2": {"/cmd_vel": 0.0}}))
+    assert observer.unreached("w-1") == "/cmd_vel"
+    received.clear()
+    assert observer.unreached("w-1") == "", "this monitor receives nothing either"

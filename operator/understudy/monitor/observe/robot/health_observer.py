@@ -49,6 +49,10 @@ CHECK_PERIOD = 0.002
 HELD_BACK_PERIOD = 0.05
 """Seconds between checks while a planned switchover waits until the mux hears the understudy."""
 
+LINK, MISSED = 0.2, 1.0
+"""Seconds that a sample may need to the mux at the robot, and by which the last one that it heard is earlier than the one that this monitor
+received, if it misses some."""
+
 POD_CHECK_PERIOD = 0.1
 """Seconds after which the state of the active pod is passed to the trees again."""
 
@@ -401,6 +405,18 @@ class HealthObserver:
         """Return when the outputs that count now were last received from a pod; None if never, or if none of them counts."""
         times = [last for topic in self.expected if (last := self._watching.last_from(topic, pod)) is not None]
         return max(times, default=None)
+
+    def unreached(self, pod: str) -> str:
+        """Return an expected topic of a pod that this monitor receives, and the mux at the robot does not; empty if there is none."""
+        found = self._forwarding.latest if self._forwarding is not None else None
+        if self._forwarding is None or found is None or self._forwarding.is_silent:
+            return ""
+        reported = CLOCK.to_system(found.at) - LINK
+        for topic in self.expected:
+            received = next((at for at in reversed(self.arrivals(topic, pod)) if at <= reported), -math.inf)
+            if received - CLOCK.to_system(self._forwarding.last_heard(pod, topic)) > MISSED:
+                return topic
+        return ""
 
     def arrivals(self, topic: str, pod: str) -> Sequence[float]:
         """Return when a topic was recently received from a pod, in Unix seconds."""
