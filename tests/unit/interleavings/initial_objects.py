@@ -7,7 +7,7 @@ from tests.unit.interleavings.actors import NAMESPACE
 from tests.unit.interleavings.apiserver import EPOCH, ApiServer, stamp
 from tests.unit.interleavings.kept_states import KEPT
 from tests.unit.interleavings.pods import REFERRED
-from tests.unit.interleavings.scenes import ROBOTS, Scene
+from tests.unit.interleavings.scenes import ON_BOARD, ROBOTS, Scene
 from understudy.kube.client import Object
 
 
@@ -37,6 +37,8 @@ def create(scene: Scene, server: ApiServer) -> None:
     for name in scene.workload_names:
         more = {"workloadRef": {"kind": scene.refers, "name": f"app-{name}"}} if scene.refers else {}
         gate = {"kind": "Mux"} if scene.muxed else {"robots": [ROBOTS]} if scene.reflex else {}
+        if scene.on_board:
+            gate["mux"] = {"onBoard": {"name": ON_BOARD, "after": scene.on_board}}
         if gate:
             more["gate"] = gate | ({"reflex": {"deadline": scene.reflex}} if scene.reflex else {})
         if scene.tasks:

@@ -8,6 +8,8 @@
 - With a token of the gate, the mux forwards whom the gate named at this epoch. With a token of its own, it forwards a successor that
   sends, in place of an instance that was silent for the deadline, and none that it replaced before in this epoch.
 - No command is forwarded that had arrived before its instance was put in control.
+- The instance on board is forwarded only while the one in control is silent, or nobody is in control. It only stands in: each order of a
+  newer epoch replaces it, except that one which names nobody leaves it in control.
 - An order that names another instance than the one to which the mux has switched by itself is carried out only if the monitor that
   committed it knew the switch.
 - Once an order has arrived, nobody is forwarded by an older one. If it names nobody, nobody is forwarded at all.
@@ -34,15 +36,20 @@ from tests.unit.interleavings.invariants import Invariants
 from tests.unit.interleavings.mux_processes import Mux, Sample
 from tests.unit.interleavings.mux_robots import MuxRobots
 from tests.unit.interleavings.mux_senses import MuxMonitor
+from tests.unit.interleavings.scenes import ON_BOARD
 from understudy.api.protocol.mux_messages import Token
 from understudy.failover.progress import beside
 from understudy.kube.client import Object
 from understudy.kube.gates.base import GateRecord
 from understudy.kube.gates.mux_reports import SILENT
+from understudy.monitor.judge.failure_detection import UNREACHED
 from understudy.mux.control import Control
 
 REPORTED = SILENT + 3.0
 """Seconds after which a monitor reports that its mux does not forward whom it should: it is judged once a second."""
+
+STOOD_IN = UNREACHED + 6.0
+"""Seconds after which a monitor does not report Healthy any more while the instance on board drives: it judges reports once a second."""
 
 AGREED = 10.0
 """Seconds within which the mux forwards whom the gate names, if nothing hinders anybody."""
@@ -67,6 +74,8 @@ class Received:
     """When that was, or when the process began (virtual seconds)."""
     newest: tuple[int, str] = (-1, "")
     """Epoch and instance of the newest order that the present process has received."""
+    may_stand_in: bool = False
+    """Whether this order has an instance on board."""
     replaced: set[str] = field(default_factory=set)
     """Whom the mux has replaced in the present epoch."""
 
@@ -74,10 +83,15 @@ class Received:
 class MuxInvariants(Invariants):
     """What holds of muxes. Implements :class:`tests.unit.interleavings.mux_processes.Witness`."""
 
-    def __init__(self, *arguments: Any, deadline: float, known: Callable[[str], Token], **more: Any) -> None:
-        """``deadline`` is that of the reflex in seconds. ``known`` returns the newest token that a monitor has received."""
+    def __init__(
+        self, *arguments: Any, deadline: float, after: float, known: Callable[[str], Token], **more: Any
+    ) -> None:
+        """``deadline`` is that of the reflex, and ``after`` that of the instance on board, in seconds.
+
+        ``known`` returns the newest token that a monitor has received.
+        """
         super().__init__(*arguments, **more)
-        self._deadline, self._known = deadline, known
+        self._deadline, self._after, self._known = deadline, after, known
         self._received: dict[str, Received] = defaultdict(Received)
         self._names: dict[str, dict[int, set[str]]] = defaultdict(lambda: defaultdict(set))
         """By workload and epoch, the instances that the gate named: several only if somebody deleted it."""
@@ -151,9 +165,11 @@ class MuxInvariants(Invariants):
         order, received, control = _order(text), self._received[mux.workload], mux.control
         if (epoch := int(order["token"][1])) > received.newest[0]:
             received.newest = (epoch, order["source"])
+            received.may_stand_in = bool(order["standing"].get("onBoard"))
         epoch, source = received.newest
         self.counts["orders refused for a switch"] += "by itself" in mux.refuses
-        if control is not None and not source and control.token.epoch <= epoch and control.source:
+        stands_in = control is not None and control.on_board and received.may_stand_in
+        if control is not None and not source and control.token.epoch <= epoch and control.source and not stands_in:
             self._broken(f"{mux.process} forwards {control.source}, and epoch {epoch} names nobody")
 
     def decided(self, mux: Mux, before: Control, after: Control) -> None:
@@ -173,9 +189,11 @@ class MuxInvariants(Invariants):
     def _ordered(self, mux: Mux, before: Control, after: Control) -> None:
         workload, epoch = mux.workload, after.token.epoch
         self.counts["ordered"] += 1
+        if before.on_board and after.on_board and "" in self._names[workload][epoch]:
+            return
         if after.source not in self._names[workload][epoch]:
             self._broken(f"{mux.process} forwards {after.source} by epoch {epoch}, in which the gate did not name it")
-        if not before.token.count:
+        if not before.token.count or before.on_board:
             return
         if after.source not in ("", before.source) and self._knew[workload].get(epoch, Token()) < before.token:
             self._broken(
@@ -188,36 +206,47 @@ class MuxInvariants(Invariants):
                 self._unrecorded[workload][before.ordered, after.source] = commit
 
     def _switched(self, mux: Mux, before: Control, after: Control) -> None:
-        self.counts["switched"] += 1
         received, now = self._received[mux.workload], self._now
-        silent = now - max(mux.last.get(before.source, received.since), received.since)
+        if before.on_board and after.source == before.ordered:
+            self.counts["returned"] += 1
+            return
+        self.counts["stood in" if after.on_board else "switched"] += 1
+        deadline = self._after if after.on_board else self._deadline
+        # An instance may stop before it was discovered. That takes longer than a reflex, and less than the silence for one on board.
+        last = mux.last_known if after.on_board else mux.last
+        silent = now - max(last.get(before.source, received.since), received.since)
         heard = now - mux.last.get(after.source, 0.0)
-        if silent < self._deadline - MOMENT:
+        if silent < deadline - MOMENT:
             self._broken(f"{mux.process} replaces {before.source}, which it has heard {silent:.3f} s ago")
-        if heard > self._deadline + MOMENT:
+        if heard > deadline + MOMENT:
             self._broken(f"{mux.process} switches to {after.source}, which it has not heard for {heard:.3f} s")
         received.replaced.add(before.source)
-        if after.source in received.replaced:
+        if after.source in received.replaced and not after.on_board:
             self._broken(f"{mux.process} switches back to {after.source} without an order")
 
     def forwarded(self, mux: Mux, token: Token, sample: Sample) -> None:
         """A robot receives a command."""
         received, workload = self._received[mux.workload], mux.workload
-        name = self._robots.running[sample.uid].name
+        name = self._sender(sample.uid)
         self.counts["forwarded"] += 1
         if token < received.token:
             self._broken(f"{workload} receives {name} of {_text(token)} after one of {_text(received.token)}")
         if received.owners.setdefault(token, sample.uid) != sample.uid:
-            other = self._robots.running[received.owners[token]].name
+            other = self._sender(received.owners[token])
             self._broken(f"{workload} receives {name} and {other}, both of {_text(token)}")
         if sample.number <= received.begun:
             self._broken(f"{workload} receives what {name} had sent before it was in control")
         if not token.count and name not in self._names[workload][token.epoch]:
             self._broken(f"{workload} receives {name} of epoch {token.epoch}, in which the gate did not name it")
         epoch, source = received.newest
-        if token.epoch < epoch and not (token.count and source):
+        # One that stands in stays if its mux could not keep an order that names nobody.
+        stands_in = name == ON_BOARD and not source and received.may_stand_in
+        if token.epoch < epoch and not (token.count and source) and not stands_in:
             self._broken(f"{workload} receives {name} of {_text(token)}, and its mux was ordered epoch {epoch}")
         received.token = token
+
+    def _sender(self, uid: str) -> str:
+        return ON_BOARD if uid == ON_BOARD else self._robots.running[uid].name
 
     @property
     def _now(self) -> float:
@@ -237,7 +266,7 @@ class MuxInvariants(Invariants):
             self._lasts(
                 (who, "Healthy"),
                 is_healthy and source not in ("", active),
-                NOTICED,
+                STOOD_IN if source == ON_BOARD else NOTICED,
                 monitor.hindered_at,
                 f"{who} says that {workload} is Healthy with {active}, and the mux forwards {source}",
             )
@@ -277,7 +306,8 @@ class MuxInvariants(Invariants):
             record, control = gates.record(self._server, workload), mux.control
             if record is None or control is None:
                 continue
-            if (control.token.epoch, control.token.count, control.source) != (record.epoch, 0, record.active):
+            has_switched = control.on_board or (control.token.count > 0 and not self._after)
+            if has_switched or (control.token.epoch, control.source) != (record.epoch, record.active):
                 yield (
                     f"the mux of {workload} forwards {control.source or 'nobody'} by {_text(control.token)}, and the gate names "
                     f"{record.active or 'nobody'} at epoch {record.epoch}"

@@ -18,6 +18,7 @@ from tests.unit.interleavings.gates import NAMESPACE
 from tests.unit.interleavings.mux_topics import MuxExchange, Topics
 from tests.unit.interleavings.network import Network
 from tests.unit.interleavings.pods import Running
+from tests.unit.interleavings.scenes import ON_BOARD
 from tests.unit.interleavings.scheduling import Killed, Process, current
 from tests.unit.interleavings.senses import TOPIC
 from understudy.api import names
@@ -42,6 +43,7 @@ class Sample:
     """A command of an instance, as it arrived at the mux."""
 
     uid: str
+    """``ON_BOARD`` for the instance on board."""
     writer: bytes
     number: int
     """Grows with each arrival at this mux."""
@@ -140,6 +142,8 @@ class Mux:
         self._heard: set[bytes] = set()
         self.last: dict[str, float] = {}
         """When a sample of an instance, given by its name, last arrived at the present process (virtual seconds)."""
+        self.last_known: dict[str, float] = {}
+        """The same, of writers that it had discovered by then."""
         self._known: dict[bytes, str] = {}
         self._ready: set[str] = set()
         """What has arrived for a process that has not looked yet."""
@@ -176,7 +180,7 @@ class Mux:
         """A process of it starts."""
         loop = self._network.loop
         process = self.process = loop.process(name)
-        self.last, self._known, self._heard, self._ready = {}, {}, set(), set()
+        self.last, self.last_known, self._known, self._heard, self._ready = {}, {}, {}, set(), set()
         follow(process, self._run(process))
 
     def end(self) -> None:
@@ -216,17 +220,26 @@ class Mux:
 
     def arrive(self, found: Running) -> None:
         """A sample of an instance arrives."""
-        process, writer, choices = self.process, writer_of(found), self._network.choices
+        self._arrive(found.name, found.uid, writer_of(found))
+
+    def arrive_from_on_board(self) -> None:
+        """A sample of the instance on board arrives."""
+        self._arrive(ON_BOARD, ON_BOARD, ON_BOARD.encode())
+
+    def _arrive(self, name: str, uid: str, writer: bytes) -> None:
+        process, choices = self.process, self._network.choices
         if process is None or not process.alive or self.forwarder is None:
             return
         if writer not in self._heard:
             least, most = DISCOVERED
             within = least + (most - least) * choices.random()
-            self._network.later(within, self._discover, writer, found, process=process)
+            self._network.later(within, self._discover, writer, name, process=process)
         self._heard.add(writer)
-        self.last[found.name] = self._network.loop.time()
+        self.last[name] = self._network.loop.time()
+        if writer in self._known:
+            self.last_known[name] = self._network.loop.time()
         self.arrivals += 1
-        self._route.queue.append(Sample(found.uid, writer, self.arrivals))
+        self._route.queue.append(Sample(uid, writer, self.arrivals))
         self._wake("samples")
 
     def _wake(self, ready: str) -> None:
@@ -248,8 +261,8 @@ class Mux:
             for text in self._exchange.received():
                 self._work.order(text)
 
-    def _discover(self, writer: bytes, found: Running) -> None:
-        self._known[writer] = found.name
+    def _discover(self, writer: bytes, name: str) -> None:
+        self._known[writer] = name
         self._work.done()
         self._soon()
 

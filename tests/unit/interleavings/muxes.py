@@ -20,6 +20,7 @@ from tests.unit.interleavings.mux_processes import Disk, Mux
 from tests.unit.interleavings.mux_robots import MuxRobots
 from tests.unit.interleavings.mux_senses import MuxMonitor
 from tests.unit.interleavings.mux_topics import Topics
+from tests.unit.interleavings.pods import PERIOD
 from tests.unit.interleavings.robots import Robots
 from tests.unit.interleavings.scenes import Outcome, Scene
 from tests.unit.interleavings.scheduling import Process
@@ -48,6 +49,23 @@ SCENES = (
         standbys=2,
         reflex="300ms",
         muxed=True,
+    ),
+    Scene(
+        "mux and an instance on board",
+        workloads=1,
+        strategies=("hot", "Restart"),
+        standbys=1,
+        muxed=True,
+        on_board="1s",
+    ),
+    Scene(
+        "mux with a reflex and an instance on board",
+        workloads=1,
+        strategies=("hot", "Restart"),
+        standbys=1,
+        reflex="300ms",
+        muxed=True,
+        on_board="1s",
     ),
 )
 
@@ -87,11 +105,15 @@ class Muxed(Simulation):
         "order_is_repeated": 3,
         "driver_fails": 6,
         "several_fail_in_an_outage": 6,
+        "robot_is_cut_off": 4,
+        "instance_on_board_stops": 3,
         "somebody_asks": 2,
     }
 
     def __init__(self, *arguments: Any, **more: Any) -> None:
         self._tokens: dict[str, Token] = {}
+        self._stopped: set[str] = set()
+        """Workloads whose instance on board does not send."""
         super().__init__(*arguments, **more)
         for workload in self.workloads:
             disk = Disk(self._folder / f"mux-{workload}")
@@ -99,6 +121,8 @@ class Muxed(Simulation):
             mux.witness = self.mux_invariants
             self._follow_routes(mux)
             self.mine.muxes[workload] = mux
+            if self.scene.on_board:
+                self.later(PERIOD * self.choices.random(), self._send_from_on_board, mux)
 
     def _follow_routes(self, mux: Mux) -> None:
         mux.changed = lambda: self.mine.route(mux.workload)
@@ -124,6 +148,7 @@ class Muxed(Simulation):
             broken=self._broken,
             leads=self._leads,
             deadline=seconds(self.scene.reflex) if self.scene.reflex else 0.0,
+            after=seconds(self.scene.on_board) if self.scene.on_board else 0.0,
             known=self._known,
         )
 
@@ -287,8 +312,10 @@ class Muxed(Simulation):
             self._unhear([monitor.process], lasts)
 
     def _cut(self, uid: str, of: set[str], words: str) -> None:
+        self._cut_for(uid, of, words, self.choices.choice([0.5, 2.0, 8.0]) * (0.2 + self.choices.random()))
+
+    def _cut_for(self, uid: str, of: set[str], words: str, lasts: float) -> None:
         if (found := self.robots.running.get(uid)) is not None:
-            lasts = self.choices.choice([0.5, 2.0, 8.0]) * (0.2 + self.choices.random())
             self.note(f"pod {found.name} {words} for {lasts:.2f} s")
             found.harmed = True
             self.mine.set_cut(uid, of, True)
@@ -326,6 +353,32 @@ class Muxed(Simulation):
             how = self.choices.choice(["stops for a while", "freezes", "crashes", "slows down", "deleted by force"])
             self.later(lasts * self.choices.random(), lambda how=how: self._break(self._driver(workload), how))
 
+    def _send_from_on_board(self, mux: Mux) -> None:
+        if mux.workload not in self._stopped:
+            mux.arrive_from_on_board()
+        self.later(PERIOD, self._send_from_on_board, mux)
+
+    def _instance_on_board_stops(self) -> None:
+        workload, lasts = self.choices.choice(self.workloads), 6 * self.choices.random()
+        if self.scene.on_board:
+            self.note(f"the instance on board of {workload} does not send for {lasts:.1f} s")
+            self._stopped.add(workload)
+            self.later(lasts, self._stopped.discard, workload)
+
+    def _robot_is_cut_off(self) -> None:
+        """Neither the instances nor the monitors that there are reach the robot, and what drives it fails meanwhile."""
+        workload, lasts = self.choices.choice(self.workloads), 1 + 15 * self.choices.random()
+        for found in [one for one in self.robots.running.values() if one.robot == workload and not one.ended]:
+            self._cut_for(found.uid, self.mine.cut, f"does not reach the mux of {workload}", lasts)
+        for monitor in [one for one in self.monitors if one.workload == workload]:
+            self._part(monitor, lasts)
+        for fail in (self._instance_on_board_stops, lambda: self._restart(self.mine.muxes[workload])):
+            if self.choices.random() < 0.4:
+                self.later(lasts * self.choices.random(), fail)
+        if self.choices.random() < 0.4:
+            how = self.choices.choice(FAILURES)
+            self.later(lasts * self.choices.random(), lambda: self._break(self._active(workload), how))
+
     def _plan_trouble(self) -> float:
         lasts = super()._plan_trouble()
         bad = self.choices.choice(self.scene.weather)
@@ -340,6 +393,7 @@ class Muxed(Simulation):
                 mux.topics.join(process)
         self.mine.cut.clear()
         self.mine.unheard.clear()
+        self._stopped.clear()
         super()._end_of_trouble()
         self.robots.reroute()
 

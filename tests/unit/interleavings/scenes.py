@@ -8,6 +8,10 @@ ROBOTS = "192.0.2.1/32"
 """Where robots with a reflex are: outside of the cluster."""
 
 
+ON_BOARD = "home"
+"""The instance on board of a robot with a mux."""
+
+
 @dataclass(frozen=True)
 class Scene:
     """What there is: workloads, and the pools that their policy names."""
@@ -41,6 +45,8 @@ class Scene:
     """What happens to goals at a failover (``onFailover``); no tasks where it is empty."""
     muxed: bool = False
     """Whether the gates are of kind Mux, and a mux at each robot forwards the instance in control."""
+    on_board: str = ""
+    """After which silence the mux forwards an instance on board, which always reaches it; none where it is empty."""
 
     @property
     def workload_names(self) -> list[str]:
