@@ -130,6 +130,14 @@ def test_a_standby_with_a_second_interface_to_the_robot_does_not_reach_it_but_by
     robot.signal(standby["name"], "KILL")
     for words in ("understudy_quickstart.robot", "mux"):
         assert signal_processes(itself["uid"], words, signal.SIGKILL)
+
+    def ready_again() -> bool:
+        status = kubectl.get("pod", standby["name"])["status"]
+        has_restarted = any(one["restartCount"] for one in status["containerStatuses"])
+        conditions = {c["type"]: c["status"] for c in status["conditions"]}
+        return has_restarted and conditions["Ready"] == "True"
+
+    eventually(ready_again, within=60, what="the standby sends again", note=robot.describe)
     robot.wait_standby()
     at, began = cable.received, time.time()
     time.sleep(3)

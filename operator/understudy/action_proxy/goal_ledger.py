@@ -359,8 +359,9 @@ class GoalLedger:
                 continue
             rule = self._rules.get(goal.action)
             wanted = goal.open and not attempt.withdrawn and (uid == goal.charge or uid in self._mirrors)
-            kind, withdrawn = rule.type if rule else "", not wanted and not goal.is_cancelled
-            cancel = withdrawn or goal.is_cancelled
+            kind, cancel = rule.type if rule else "", goal.is_cancelled or not wanted
+            # The instance keeps that a goal was withdrawn: a proxy without a journal sends it again. So it must not have ended.
+            withdrawn = cancel and goal.open and not goal.is_cancelled
             found.append(Order(attempt.id, goal.action, kind, goal.data, cancel, goal.note(), withdrawn))
         return found
 

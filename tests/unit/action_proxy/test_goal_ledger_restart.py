@@ -144,6 +144,18 @@ class TestMissingJournal:
         assert world.results == {}
         assert [one.cancel for one in world.ledger.orders("a")] == [False]
 
+    def test_a_goal_that_has_ended_for_its_client_is_never_withdrawn(self, world: World) -> None:
+        """A standby has it too. Once that is in control, a proxy without a journal would send it again (seed 2213354)."""
+        world.instances["b"].executing = True
+        world.tell()
+        goal = world.ask()
+        world.want(goal)
+        world.ledger.report("a", world.id_at(goal, "a"), AttemptState.ENDED, world.now, status=SUCCEEDED, result="a")
+        world.go(work=False)
+        assert world.results == {goal: (SUCCEEDED, "a")}
+        (order,) = world.ledger.orders("b")
+        assert (order.cancel, order.withdrawn) == (True, False)
+
     def test_a_goal_that_was_aborted_shortly_before_its_instance_is_replaced_continues(self, world: World) -> None:
         """The application of an instance that is being deleted aborts its goals, before the next proxy connects."""
         first, second = world.ask(), world.ask()
