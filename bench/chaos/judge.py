@@ -269,7 +269,7 @@ def judge(seen: Seen, injected: Sequence[Injected], period: float = 0.05) -> Jud
     """Judge one robot."""
     found = Judgement(seen.name)
     seen = replace(seen, commits=_dated(seen.commits, seen.recoveries))
-    theirs = [one for one in injected if (not one.refused or one.is_unsure) and affects(one, seen.index)]
+    theirs = [one for one in injected if (not one.refused or one.is_unsure) and affects(one, seen)]
 
     def violation(what: str, at: float, text: str, since: float | None = None) -> None:
         begin = at - BEFORE if since is None else since - 2.0
@@ -426,9 +426,14 @@ def _dated(commits: Sequence[Commit], recoveries: Sequence[Recovered]) -> list[C
     ]
 
 
-def affects(injected: Injected, robot: int) -> bool:
-    """Return whether a fault may have affected a robot."""
-    return bool(BY_NAME[injected.fault.kind].shared) or injected.fault.robot == robot
+def affects(injected: Injected, seen: Seen) -> bool:
+    """Return whether a fault may have affected a robot.
+
+    A pod that gets the label of another robot's workload is adopted by its ReplicaSet, which then deletes one of its two pods.
+    """
+    label, _, _ = injected.told.partition(" of ")
+    is_named = injected.fault.kind == "label-exchange" and label.partition("=")[2].startswith(f"{seen.name}-")
+    return bool(BY_NAME[injected.fault.kind].shared) or injected.fault.robot == seen.index or is_named
 
 
 def returned(node: str, at: float, injected: Sequence[Injected]) -> float | None:
