@@ -366,7 +366,7 @@ class Muxed(Simulation):
             self.later(lasts, self._stopped.discard, workload)
 
     def _robot_is_cut_off(self) -> None:
-        """Neither the instances nor the monitors that there are reach the robot, and what drives it fails meanwhile."""
+        """Neither the existing instances nor the existing monitors reach the robot, and what drives it fails meanwhile."""
         workload, lasts = self.choices.choice(self.workloads), 1 + 15 * self.choices.random()
         for found in [one for one in self.robots.running.values() if one.robot == workload and not one.ended]:
             self._cut_for(found.uid, self.mine.cut, f"does not reach the mux of {workload}", lasts)

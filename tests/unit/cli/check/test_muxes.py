@@ -30,8 +30,8 @@ def test_the_quickstart_with_a_mux_has_no_problem() -> None:
          "Secret robot-1-drive-mux"),
         ("            - {name: mux-state, mountPath: /var/lib/understudy}\n", "", "spec.template.spec.containers[1]",
          "/var/lib/understudy"),
-        ("  replicas: 1\n", "  replicas: 2\n", "spec.replicas", "2 muxes"),
-        ("  strategy: {type: Recreate} # there is only one robot\n", "", "spec.strategy", "two muxes"),
+        ("  replicas: 1\n", "  replicas: 2\n", "spec.replicas", "these 2"),
+        ("  strategy: {type: Recreate} # there is only one robot\n", "", "spec.strategy", "the new mux beside the old one"),
     ],
     ids=["graph", "mount", "secret", "state", "replicas", "strategy"],
 )  # fmt: skip
@@ -97,6 +97,16 @@ spec:
         finding = only(text)
         assert (finding.severity, finding.field) == ("error", "spec.gate.kind")
         assert "would reach the robot beside the mux" in finding.message
+
+
+def test_procedures_that_would_reach_all_instances_are_reported() -> None:
+    managed = (EXAMPLE / "managed/robotworkload.yaml").read_text()
+    workload = managed.replace("  outputs:", "  gate: {kind: Mux}\n  outputs:")
+    initialized = (EXAMPLE / "strategies/initialized.yaml").read_text()
+    fields = [finding.field for finding in found(workload, initialized)]
+    assert fields == ["spec.bringUp", "spec.initialization"]
+    assert_golden("check", found(workload, initialized)[0].message, "robot-1-drive")
+    assert found(managed, initialized) == []
 
 
 def test_standbys_in_the_network_of_one_node_are_reported() -> None:
