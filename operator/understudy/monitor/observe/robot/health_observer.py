@@ -50,7 +50,7 @@ HELD_BACK_PERIOD = 0.05
 """Seconds between checks while a planned switchover waits until the mux hears the understudy."""
 
 LINK, MISSED = 0.2, 1.0
-"""Seconds that a sample needs to the robot, and how much earlier the last one of the mux is than that of this monitor, if some are missing."""
+"""Seconds that a sample needs to the robot, and how much earlier the last one of the mux is than the last one here if some are missing."""
 
 POD_CHECK_PERIOD = 0.1
 """Seconds after which the state of the active pod is passed to the trees again."""
