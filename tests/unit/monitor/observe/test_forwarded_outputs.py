@@ -20,6 +20,7 @@ from understudy.clock import CLOCK
 from understudy.failover.interfaces import GateState, Instance
 from understudy.kube.gates.mux_reports import MuxReports
 from understudy.monitor.observe.robot.health_observer import HealthObserver
+from understudy.ros.runtime.graph_node import Graph
 
 ORDER = Order(1000.0, 5, "w-1")
 REPORT = Report(
@@ -129,3 +130,14 @@ async def test_a_topic_that_the_mux_misses_is_known_by_what_this_monitor_receive
     assert observer.unreached("w-1") == "/cmd_vel"
     received.clear()
     assert observer.unreached("w-1") == "", "this monitor receives nothing either"
+
+
+async def test_a_monitor_is_blind_while_it_has_discovered_neither_a_node_nor_a_writer(
+    observer: HealthObserver, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outputs, writers = observer.outputs(cast(Any, Instances()), cast(Any, Gate())), dict[str, int]()
+    monkeypatch.setattr(Graph, "is_alone", True)
+    monkeypatch.setattr(observer.graph, "publisher_count", lambda topic: writers.get(topic, 0))
+    assert outputs.blind
+    writers["/cmd_vel"] = 1
+    assert not outputs.blind, "a process without a node writes it"

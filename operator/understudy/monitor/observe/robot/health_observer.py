@@ -213,6 +213,13 @@ class HealthObserver:
         return [topic for topic in self.gated if topic in counting]
 
     @property
+    def sees_nobody(self) -> bool:
+        """Whether discovery has reported no node, and no writer of an output or of a judged topic: not every DDS process has a node."""
+        judged = (topic.name for topic in (self._tree.judged if self._tree is not None else []) if topic.subscribed)
+        topics = {*self.output_topics, *judged}
+        return self.graph.is_alone and not any(self.graph.publisher_count(topic) for topic in topics)
+
+    @property
     def never_silent(self) -> list[str]:
         """The outputs that are topics, except those that the active instance need not publish now."""
         idle = set(self.gated).difference(self.expected)
@@ -454,7 +461,7 @@ class GatedReaders:
     @property
     def blind(self) -> bool:
         """Whether discovery has reported nobody to this monitor."""
-        return self._observer.graph.is_alone
+        return self._observer.sees_nobody
 
     async def first_from(self, instance: Instance, *, since: float) -> float | None:
         """Wait for a sample of each expected topic from the instance, received after ``since``. Returns when the first arrived.
