@@ -111,6 +111,9 @@ class HealthObserver:
     def deadline(self, *, now: float, since: float) -> float | None:
         return None
 
+    def unreached(self, pod: str) -> str:
+        return ""
+
     def arrivals(self, topic: str, pod: str) -> Sequence[float]:
         return ()
 
@@ -128,6 +131,11 @@ class Outputs:
 
     def __init__(self, application: Application, gate: Gate) -> None:
         self._application, self._gate = application, gate
+
+    blind = False
+
+    async def heard_held_back(self, instance: Instance) -> None:
+        return
 
     async def first_from(self, instance: Instance, *, since: float) -> float | None:
         while self._gate.state.active_uid != instance.uid or not self._application.well(instance.uid):  # noqa: ASYNC110

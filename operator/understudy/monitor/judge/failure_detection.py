@@ -26,7 +26,7 @@ agent."""
 HEARD_GRACE = 1.0
 """The same for an instance that this monitor has heard before, for example before somebody deleted the gate: discovery is done."""
 
-UNREACHED = 8.0
+UNREACHED = 4.0
 """Seconds for which the mux at the robot must report that it misses what this monitor receives. A mux that starts again has learned of the
 writers by then, also on a busy machine."""
 
