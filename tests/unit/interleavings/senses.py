@@ -75,7 +75,7 @@ class HealthObserver:
         self._senders = KnownSenders()
         self.known_since: dict[str, float] = {}
         """By UID, since when (Unix seconds) it knows an instance."""
-        self.graph, self.is_alone = self, False
+        self.graph, self.sees_nobody = self, False
 
     def unreached(self, pod: str) -> str:
         """No topic: whether the robot receives an instance is not known."""
