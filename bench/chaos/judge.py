@@ -252,8 +252,9 @@ class Judgement:
     repaired: list[float] = field(default_factory=list)
     """Seconds from tampering to the last command that it let through, if that was soon enough."""
     unstarted: list[float] = field(default_factory=list)
-    unmuxed: list[float] = field(default_factory=list)
     """Seconds that Kubernetes took until a kubelet began to start a pod, if that was long."""
+    unmuxed: list[float] = field(default_factory=list)
+    """Seconds until a kubelet started the container of a mux again that had ended."""
     astray: list[float] = field(default_factory=list)
     """Seconds for which Kubernetes led nobody to a discovery server that was ready."""
     unled: list[float] = field(default_factory=list)

@@ -47,10 +47,8 @@ class Forklift(Node):
         self._heights.publish(Float64(data=1.0 + 0.5 * math.sin(time.time() / 5)))
 
     def _blink(self) -> None:
-        if self._calling is not None:
-            self._beacon.remove_pending_request(
-                self._calling
-            )  # nobody answers a standby: its call does not reach the truck
+        if self._calling is not None:  # nobody answers a standby: its call does not reach the truck
+            self._beacon.remove_pending_request(self._calling)
         if self._beacon.service_is_ready():
             self._is_on = not self._is_on
             self._calling = self._beacon.call_async(SetBool.Request(data=self._is_on))

@@ -107,6 +107,12 @@ class Stand:
             while self.reports.latest is None or self.reports.latest.report.source != source:
                 await asyncio.sleep(0.01)
 
+    async def cut_off(self) -> None:
+        """Let the mux forward the instance on board, and wait until the monitor knows that."""
+        control = replace(self.mux.control, source="home", on_board=True, token=Token(CREATED, 5, 1))
+        self.mux.control, self.mux.changed = control, True
+        await self.until("home")
+
     def hear(self, source: str) -> None:
         """Let samples of an instance arrive at the mux from now on."""
         self.route.heard = source
@@ -215,9 +221,7 @@ async def test_control_returns_from_on_board_to_an_instance_that_has_nothing_to_
     async with running(stand):
         await stand.commit("w-1")
         await stand.until("w-1")
-        cut_off = replace(stand.mux.control, source="home", on_board=True, token=Token(CREATED, 5, 1))
-        stand.mux.control, stand.mux.changed = cut_off, True
-        await stand.until("home")
+        await stand.cut_off()
         stand.ready, stand.never_silent = ["w-1"], []
         await stand.until("w-1")
 
@@ -229,9 +233,7 @@ async def test_control_returns_from_on_board_when_the_mux_hears_the_active_insta
     async with running(stand):
         await stand.commit("w-1")
         await stand.until("w-1")
-        cut_off = replace(stand.mux.control, source="home", on_board=True, token=Token(CREATED, 5, 1))
-        stand.mux.control, stand.mux.changed = cut_off, True
-        await stand.until("home")
+        await stand.cut_off()
         assert stand.reports.reported("w-1")[:2] == ("False", "OnBoard")
         stand.hear("w-1")
         await asyncio.sleep(1.5)
