@@ -7,6 +7,7 @@ import time
 
 import pytest
 
+from tests.e2e.console import understudy
 from tests.e2e.faults import Network, detour, join, signal_processes
 from tests.e2e.kubectl import Kubectl, Object
 from tests.e2e.scenario import Robot, eventually, manifest, never, patient
@@ -127,23 +128,28 @@ def test_a_standby_with_a_second_interface_to_the_robot_does_not_reach_it_but_by
     (standby,) = (pod["metadata"] for pod in robot.pods() if pod["metadata"]["name"] != first)
     itself = kubectl.get("pod", robot.robot_pod())["metadata"]
     _, cable = join(standby["uid"], itself["uid"])
+    # The robot is silent while it restarts. A pause keeps the monitor from a recovery of that.
+    assert understudy(kubectl, "pause", robot.workload, "--reason", "a second cable").returncode == 0
+    eventually(lambda: robot.condition("Paused"), within=10, what="it is paused", note=robot.describe)
     # The agent knows the processes of its pod by what Fast DDS makes of the interfaces, so it needs the same ones.
     assert signal_processes(standby["uid"], "understudy", signal.SIGKILL)
     for words in ("understudy_quickstart.robot", "mux"):
         assert signal_processes(itself["uid"], words, signal.SIGKILL)
 
     def ready_again() -> bool:
-        status = kubectl.get("pod", standby["name"])["status"]
-        has_restarted = all(one["restartCount"] for one in status["containerStatuses"])
-        conditions = {c["type"]: c["status"] for c in status["conditions"]}
-        return has_restarted and conditions["Ready"] == "True"
+        statuses = [kubectl.get("pod", pod["name"])["status"] for pod in (standby, itself)]
+        have_restarted = all(one["restartCount"] for status in statuses for one in status["containerStatuses"])
+        conditions = [{c["type"]: c["status"] for c in status["conditions"]} for status in statuses]
+        return have_restarted and all(of_pod["Ready"] == "True" for of_pod in conditions)
 
-    eventually(ready_again, within=60, what="the standby sends again", note=robot.describe)
+    eventually(ready_again, within=60, what="standby and robot have restarted", note=robot.describe)
+    eventually(lambda: robot.status()["health"] == "Healthy", within=60, what="it is well again", note=robot.describe)
+    assert understudy(kubectl, "resume", robot.workload).returncode == 0
+    robot.wait_protected()
     robot.wait_standby()
     at, began = cable.received, time.time()
     time.sleep(3)
     assert cable.received - at > 50, "the standby sends by its second interface too"
-    print(first, standby["name"], robot.recoveries())
     assert robot.recoveries() == []
     never([c for c in robot.log().commands if c.received > began and c.source != first], "commands of the standby")
     robot.fail(first, "frozen")
