@@ -63,6 +63,11 @@ class Attempt:
         """Whether the instance has the goal, or may have it."""
         return self.at in (AttemptState.SENT, AttemptState.RUNNING)
 
+    @property
+    def may_be_offered(self) -> bool:
+        """Whether the instance may offer it to a proxy that does not know the goal, as one that was withdrawn."""
+        return self.at is AttemptState.ENDED and (self.withdrawn or self.status == CANCELED)
+
 
 @dataclass(frozen=True)
 class GoalEnd:

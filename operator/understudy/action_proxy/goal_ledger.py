@@ -351,11 +351,14 @@ class GoalLedger:
         return min(moments, default=None)
 
     def orders(self, uid: str) -> list[Order]:
-        """Return the goals that an instance must have, in the order in which clients sent them."""
+        """Return the goals that an instance must have, in the order in which clients sent them.
+
+        Of a goal that was withdrawn from the instance, the end is ordered too, as a cancel: the instance ceases to offer it to proxies.
+        """
         found = []
         for goal in self._in_order():
             attempt = goal.attempts.get(uid)
-            if attempt is None or not attempt.open:
+            if attempt is None or not (attempt.open or (attempt.may_be_offered and not goal.open)):
                 continue
             rule = self._rules.get(goal.action)
             wanted = goal.open and not attempt.withdrawn and (uid == goal.charge or uid in self._mirrors)

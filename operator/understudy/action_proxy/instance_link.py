@@ -74,7 +74,8 @@ class InstanceLink:
         """By id, the note with which the agent has the goal."""
         self._mine: set[str] = set()
         """Goals that were ordered and have not ended. A goal that is no longer ordered is cancelled."""
-        self._cancelled: set[str] = set()
+        self._cancelled: dict[str, bool] = {}
+        """By id, whether it was cancelled as withdrawn."""
         self._invitations: list[int] = []
         self._link = AgentLink(
             peer.ip,
@@ -180,7 +181,7 @@ class InstanceLink:
                 if order.cancel:
                     await self._cancel(order)
                 else:
-                    self._cancelled.discard(order.id)
+                    self._cancelled.pop(order.id, None)
                     await self._send(order)
             except AgentRefused as error:
                 refused = error  # other goals, for example of another action, continue
@@ -214,10 +215,10 @@ class InstanceLink:
         self._listener.goal_problem(self.peer.uid, order.action, "")
 
     async def _cancel(self, order: Order) -> None:
-        if order.id in self._cancelled:
+        if self._cancelled.get(order.id) == order.withdrawn:
             return
         answer = await self._link.request("cancel", {"goal": order.id, "withdrawn": order.withdrawn}, within=WITHIN)
-        self._cancelled.add(order.id)
+        self._cancelled[order.id] = order.withdrawn
         if answer.get("known"):
             self._listener.cancel_answered(self.peer.uid, order.id, bool(answer.get("accepted")))
         else:

@@ -156,6 +156,18 @@ class TestMissingJournal:
         (order,) = world.ledger.orders("b")
         assert (order.cancel, order.withdrawn) == (True, False)
 
+    def test_an_instance_learns_that_a_goal_that_was_withdrawn_from_it_has_ended(self, world: World) -> None:
+        """The client cancels the goal while nobody is in control. A proxy without a journal would send it again (seed 2253006)."""
+        goal = world.ask()
+        world.want(goal)
+        world.switch("")
+        assert world.instances["a"].withdrawn == {goal}
+        world.cancel(goal)
+        assert world.results == {goal: (CANCELED, "")}
+        assert world.instances["a"].withdrawn == set()
+        world.switch("b")
+        assert world.ledger.orders("b") == []
+
     def test_a_goal_that_was_aborted_shortly_before_its_instance_is_replaced_continues(self, world: World) -> None:
         """The application of an instance that is being deleted aborts its goals, before the next proxy connects."""
         first, second = world.ask(), world.ask()

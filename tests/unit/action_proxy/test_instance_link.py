@@ -26,6 +26,8 @@ class Agent(IdleAgent):
     def __init__(self) -> None:
         super().__init__()
         self.asked: list[tuple[str, str]] = []
+        self.withdrawn: list[bool] = []
+        """Of each cancel."""
         self.known: list[dict[str, Any]] = []
         self.refused_action = ""
         self.on_goal: Callable[[], None] = lambda: None
@@ -40,6 +42,7 @@ class Agent(IdleAgent):
 
         async def cancel(body: Mapping[str, Any], peer: Peer) -> dict[str, Any]:
             self.asked.append(("cancel", body["goal"]))
+            self.withdrawn.append(body.get("withdrawn", False))
             return {"known": True, "accepted": True}
 
         async def goals(body: Mapping[str, Any], peer: Peer) -> dict[str, Any]:
@@ -90,8 +93,8 @@ class LinkRecorder:
         self.troubles[action] = problem
 
 
-def order(id: str, action: str = "/goto", *, cancel: bool = False) -> Order:
-    return Order(id, action, "test_msgs/action/Fibonacci", "", cancel, "note")
+def order(id: str, action: str = "/goto", *, cancel: bool = False, withdrawn: bool = False) -> Order:
+    return Order(id, action, "test_msgs/action/Fibonacci", "", cancel, "note", withdrawn)
 
 
 async def eventually(holds: Any, within: float = 20.0) -> None:
@@ -206,6 +209,16 @@ async def test_a_cancellation_is_requested_once(agent: Agent, recorder: LinkReco
     link.wake()
     await eventually(lambda: ("goal", SECOND) in agent.asked)
     assert agent.asked.count(("cancel", FIRST)) == 1
+
+
+async def test_an_instance_learns_that_a_withdrawn_goal_has_ended(
+    agent: Agent, recorder: LinkRecorder, link: InstanceLink
+) -> None:
+    recorder.ordered = [order(FIRST, cancel=True, withdrawn=True)]
+    await eventually(lambda: agent.withdrawn == [True])
+    recorder.ordered = [order(FIRST, cancel=True)]
+    link.wake()
+    await eventually(lambda: agent.withdrawn == [True, False])
 
 
 async def test_a_refused_goal_is_reported_and_does_not_block_others(

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from understudy.action_proxy.client_goals import ABORTED, CANCELED, SUCCEEDED, AttemptState
 from understudy.action_proxy.control_state import ControlState, Peer, TaskRule
-from understudy.action_proxy.goal_ledger import CancelAnswer, GoalAnswer, GoalLedger, ResultAnswer
+from understudy.action_proxy.goal_ledger import CancelAnswer, GoalAnswer, GoalLedger, Order, ResultAnswer
 
 ACTION = "/goto"
 
@@ -22,6 +22,8 @@ class Instance:
     running: dict[str, None] = field(default_factory=dict)
     ended: dict[str, int] = field(default_factory=dict)
     rejects: bool = False
+    withdrawn: set[str] = field(default_factory=set)
+    """Goals that were cancelled although no client asked for that. A proxy without a journal sends them again."""
     refuses_cancel: bool = False
     starts: list[str] = field(default_factory=list)
 
@@ -122,8 +124,16 @@ class World:
                 did = self._obey(instance, order) or did
         return did
 
-    def _obey(self, instance: Instance, order) -> bool:
+    def _open_at(self, uid: str, id: str) -> bool:
+        attempts = [goal.attempts.get(uid) for goal in self.ledger.goals.values()]
+        return any(attempt.open for attempt in attempts if attempt is not None and attempt.id == id)
+
+    def _obey(self, instance: Instance, order: Order) -> bool:
+        if order.cancel and not order.withdrawn:
+            instance.withdrawn.discard(order.id)
         if order.id in instance.ended:
+            if not self._open_at(instance.uid, order.id):
+                return False
             self.ledger.report(
                 instance.uid, order.id, AttemptState.ENDED, self.now, status=instance.ended[order.id], result="old"
             )
@@ -146,6 +156,8 @@ class World:
                 return True
             del instance.running[order.id]
             instance.ended[order.id] = CANCELED
+            if order.withdrawn:
+                instance.withdrawn.add(order.id)
             self.ledger.report(instance.uid, order.id, AttemptState.ENDED, self.now, status=CANCELED)
             return True
         return False

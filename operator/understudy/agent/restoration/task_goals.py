@@ -133,6 +133,7 @@ class TaskGoals:
         record = self._records.get(str(body.get("goal")))
         if record is None or record.state not in _OPEN:
             if record is not None:
+                record.withdrawn &= body.get("withdrawn") is True
                 self._repeat_end(record)
             return {"known": record is not None and record.state == "ended", "accepted": False}
         record.withdrawn = body.get("withdrawn") is True

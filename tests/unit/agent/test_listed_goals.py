@@ -1,4 +1,4 @@
-"""Goals and results that together, or alone, are larger than a message: no session ends because of them."""
+"""What an agent lists for a proxy that does not know its goals. No message is too large, whatever goals and results contain."""
 
 from __future__ import annotations
 
@@ -57,6 +57,16 @@ async def goals(dds: None) -> AsyncIterator[Goals]:
     made = Goals()
     yield made
     await made.inner.close()
+
+
+async def test_a_withdrawn_goal_that_has_ended_for_its_client_is_listed_as_one_that_was_cancelled(goals: Goals) -> None:
+    goal = await goals.order(b"goal")
+    await goals.inner.cancel({"goal": goal, "withdrawn": True}, PROXY)
+    (listed,) = (await goals.inner.list({}, PROXY))["goals"]
+    assert (listed["withdrawn"], bool(listed["data"])) == (True, True)
+    await goals.inner.cancel({"goal": goal}, PROXY)
+    (listed,) = (await goals.inner.list({}, PROXY))["goals"]
+    assert (listed["withdrawn"], bool(listed["data"])) == (False, False)
 
 
 async def test_the_list_contains_as_many_goals_as_fit_into_a_message_the_unfinished_ones_first(goals: Goals) -> None:
