@@ -83,15 +83,16 @@ class FastDds(Middleware):
         return profiles.profiles_xml([] if gate.is_at_robot else outputs, gate.reflex)
 
     def monitor_settings(self, outputs: Iterable[Output], gate: Gate) -> str:
-        """Return the profiles of the robot; with a mux, those with topics in the partitions of all pods."""
+        """Return the profiles of the robot; with a mux, those with readers in the partitions of all pods."""
         from understudy.ros.dds import profiles
 
         if gate.is_at_robot:
-            return profiles.mux_profiles_xml(output for output in outputs if output.topic)
+            return profiles.mux_monitor_profiles_xml(outputs)
         return profiles.profiles_xml(outputs, gate.reflex)
 
     def instance_settings(self, tasks: Iterable[Task], outputs: Iterable[Output], gate: Gate) -> str:
-        """Return the profiles with partitions for tasks and muxed outputs, or with lifespans, and ownership with the reflex."""
+        """Return the profiles with the partition of the pod for tasks, and with a mux for everything; without one, with lifespans for outputs,
+        and ownership with the reflex."""
         from understudy.ros.dds import profiles
 
         if gate.is_at_robot:

@@ -151,14 +151,25 @@ def instance_of(partitions: Iterable[str]) -> str:
 
 
 def muxed_profiles_xml(outputs: Iterable[Output], tasks: Iterable[Task] = ()) -> str:
-    """Return the profile file of an instance whose outputs a mux forwards: all their endpoints are in the partition of the pod.
+    """Return the profile file of an instance whose outputs a mux forwards: all its writers are in the partition of the pod.
 
-    So its writers cannot reach the robot's own readers, whatever the network is. Its readers are in the partition too, so that the
-    processes of the instance still hear each other.
+    So they cannot reach the robot's own readers or another instance, whatever the network is. Its readers are in that partition and in the
+    default one: its processes hear each other and the robot. What is an output is heard from the instance itself only.
     """
     endpoints = [name for output in outputs for name in reader_profiles(output)]
     endpoints += [name for task in tasks for name in _action_endpoints(task.action)]
-    return _FILE.format(profiles="".join(_partitioned(kind, name, PARTITION) for name in endpoints for kind in _KINDS))
+    profiles = _DEFAULT_WRITER.format(partition=PARTITION) + _DEFAULT_READER.format(partition=PARTITION)
+    profiles += "".join(_partitioned(kind, name, PARTITION) for name in endpoints for kind in _KINDS)
+    return _FILE.format(profiles=profiles)
+
+
+def mux_monitor_profiles_xml(outputs: Iterable[Output]) -> str:
+    """Return the profile file of the monitor of a robot with a mux: it hears the robot and all instances, and of outputs that are topics
+    the instances alone, not what the mux makes of them."""
+    everybody = f"{PARTITIONS}*"
+    topics = [output.topic for output in outputs if output.topic]
+    profiles = "".join(_partitioned("data_reader", topic, everybody) for topic in topics)
+    return _FILE.format(profiles=_DEFAULT_READER.format(partition=everybody) + profiles)
 
 
 def mux_profiles_xml(outputs: Iterable[Output]) -> str:
@@ -213,6 +224,22 @@ _PARTITIONED = """\
       <qos><partition><names><name>{partition}</name></names></partition></qos>
     </{kind}>
 """
+
+_DEFAULT_WRITER = """\
+    <data_writer profile_name="understudy_writer" is_default_profile="true">
+      <qos><partition><names><name>{partition}</name></names></partition></qos>
+    </data_writer>
+"""
+
+_DEFAULT_READER = """\
+    <data_reader profile_name="understudy_reader" is_default_profile="true">
+      <propertiesPolicy><properties><property>
+        <name>partitions</name><value>;{partition}</value>
+      </property></properties></propertiesPolicy>
+    </data_reader>
+"""
+"""The readers without a profile of their own. The empty name before the semicolon is the default partition: a list of partitions in the QoS
+cannot contain it, and this property of Fast DDS can."""
 
 _INSTANCE = """\
     <{kind} profile_name={name}>
