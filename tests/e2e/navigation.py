@@ -139,14 +139,13 @@ class Navigator(Robot):
 
     # -- setting up -------------------------------------------------------------------------------------------------
 
-    def set_up(self, configuration: str, *, edit: Callable[[list[Object]], None] | None = None) -> None:
-        """Apply policy, pool, workload and robot; ``edit`` may change the objects first."""
-        found = [
-            item
-            for name in (f"strategies/{configuration}.yaml", "workload.yaml", "robot.yaml")
-            for item in yaml.safe_load_all((self._manifests / name).read_text())
-            if item
-        ]
+    def set_up(
+        self, configuration: str, *, folder: str = "manifests", edit: Callable[[list[Object]], None] | None = None
+    ) -> None:
+        """Apply policy, pool, and a folder's workload and robot; ``edit`` may change the objects first."""
+        beside = self._manifests.parent / folder
+        files = (self._manifests / f"strategies/{configuration}.yaml", beside / "workload.yaml", beside / "robot.yaml")
+        found = [item for file in files for item in yaml.safe_load_all(file.read_text()) if item]
         for item in found:
             if item["kind"] == "RobotWorkload":
                 item["spec"]["failurePolicyRef"] = {"name": f"{self.EXAMPLE}-{configuration}"}

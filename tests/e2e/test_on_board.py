@@ -11,11 +11,18 @@ import pytest
 
 from tests.e2e.faults import Stage, signal_processes
 from tests.e2e.kubectl import Failed, Kubectl, Object
+from tests.e2e.navigation import Navigator
 from tests.e2e.scenario import APPLICATION, Robot, eventually, manifest, never, patient
 
 ON_BOARD = "on-board"
 AFTER = 1.0
 """Seconds of silence after which the instance on board is forwarded (spec.gate.mux.onBoard.after of the example)."""
+
+CUT = 600.0
+"""Seconds for which the robot with a goal is cut off."""
+
+DONE = 300.0
+"""Seconds for the rest of the goal, on a machine that is busy."""
 
 MUX = "mux"
 """What the command line of the process has."""
@@ -29,14 +36,19 @@ def cut_off(kubectl: Kubectl, stage: Stage) -> Robot:
     robot = Robot(kubectl)
     kubectl.apply(patient(manifest("strategies/executing.yaml")))
     objects = robot.objects(policy="quickstart-executing", folder="mux/on-board/")
+    place(objects, stage)
+    kubectl.apply(objects)
+    robot.wait_protected()
+    return robot
+
+
+def place(objects: list[Object], stage: Stage) -> None:
+    """Have the robot among the objects run alone on a node."""
     for item in objects:
         if item["kind"] == "Deployment":
             pod = item["spec"]["template"]["spec"]
             pod["nodeName"] = stage.nodes[-1]
             pod["tolerations"].append({"operator": "Exists", "effect": "NoSchedule"})
-    kubectl.apply(objects)
-    robot.wait_protected()
-    return robot
 
 
 def driven(robot: Robot, stage: Stage, since: float) -> tuple[list[str], float]:
@@ -90,3 +102,37 @@ def test_failures_of_all_kinds_while_the_robot_is_cut_off_leave_it_with_one_driv
     time.sleep(10)
     order, _ = driven(cut_off, stage, began)
     assert order == [active, ON_BOARD, cut_off.status()["active"]], "nobody drove between two commands of another one"
+
+
+@pytest.mark.alone  # a stack of five processes needs most of the machine
+@pytest.mark.timeout(1800)
+def test_a_goal_is_resumed_after_a_cut_of_ten_minutes_with_three_failures(kubectl: Kubectl, stage: Stage) -> None:
+    navigator = Navigator(kubectl)
+    navigator.set_up("executing", folder="on-board", edit=lambda objects: place(objects, stage))
+    active = navigator.wait_protected()
+    navigator.send_client(1)
+    navigator.wait_driving(120)
+    pod = kubectl.get("pod", navigator.robot_pod())
+    began = time.time()
+    stage.lose(stage.nodes[-1], "cut")
+    for fail in (
+        lambda: navigator.delete(active, force=True),
+        lambda: signal_processes(pod["metadata"]["uid"], "standstill", signal.SIGKILL),
+        lambda: signal_processes(pod["metadata"]["uid"], MUX, signal.SIGKILL),
+    ):
+        time.sleep(CUT / 4)
+        fail()
+    time.sleep(max(0.0, began + CUT - time.time()))
+    ended = time.time()
+    assert navigator.tour().goals[0].status == "", "the goal has not ended"
+    stage.restore()
+    tour = navigator.wait_done(DONE)
+    log = navigator.log()
+    cut = [c for c in log.commands if began + 2 * AFTER <= c.received <= ended]
+    gaps = sorted((b.received - a.received for a, b in pairwise(cut)), reverse=True)
+    print(f"\n{len(cut)} commands while it was cut off, the longest gaps: {[round(gap, 2) for gap in gaps[:4]]}")
+    never([c for c in cut if c.linear or c.angular], "commands of the cluster while the link was down")
+    never([m for m in log.motions if began + 4 * AFTER <= m.time <= ended and abs(m.speed) > 0.01], "it moved")
+    assert len(gaps) > CUT, "its instance on board has it in hand"
+    (goal,) = tour.goals
+    assert (goal.status, goal.asked) == ("succeeded", 1)

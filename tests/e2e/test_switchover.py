@@ -155,7 +155,6 @@ def test_a_drained_node_lets_its_robot_be_driven_from_another_one_first(executin
     eventually(lambda: not executing.condition("Draining"), within=30, what="that is over", note=executing.describe)
 
 
-@pytest.mark.network_policy  # with a mux, instances hear each other: an agent's lifecycle call reaches all of them
 def test_an_eviction_waits_until_an_understudy_is_ready(managed: Robot, cordoned: list[str]) -> None:
     old = managed.wait_protected()
     node = node_of(managed, old)

@@ -20,7 +20,8 @@ from understudy.trees.languages.notations import load_monitoring
 from understudy.trees.languages.short.procedure_loader import load_check, load_procedure
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "navigation"
-FILES = sorted([*(EXAMPLE / "manifests").rglob("*.yaml"), *(EXAMPLE / "nav2").rglob("*.yaml")])
+FOLDERS = ("manifests", "nav2", "on-board")
+FILES = sorted(file for folder in FOLDERS for file in (EXAMPLE / folder).rglob("*.yaml"))
 STRATEGIES = ["executing", "localization-running", "pod-started", "restart", "stack-started"]
 
 
@@ -66,6 +67,8 @@ def test_the_tests_cover_every_file() -> None:
         "nav2/localization-running.yaml",
         "nav2/restart.yaml",
         "nav2/workload.yaml",
+        "on-board/robot.yaml",
+        "on-board/workload.yaml",
     ]
 
 
@@ -154,6 +157,26 @@ def test_the_nav2_workload_differs_only_in_its_image_and_its_nodes() -> None:
     assert nodes[0] < nodes[1]
     kept = [p["spec"]["state"]["keep"] for p in of_kind("FailurePolicy")]
     assert all([{**topic, "maxAge": ""} for topic in k] == [{**topic, "maxAge": ""} for topic in kept[0]] for k in kept)
+
+
+def test_the_workload_with_an_instance_on_board_differs_only_in_its_gate_and_its_discovery() -> None:
+    (ours,), (other,) = of_kind("RobotWorkload", "manifests"), of_kind("RobotWorkload", "on-board")
+    assert other["metadata"] == ours["metadata"]
+    assert {**other["spec"], "gate": None, "ros": None} == {**ours["spec"], "gate": None, "ros": None}
+    (service,) = of_kind("Service", "on-board")
+    assert other["spec"]["ros"]["discovery"]["server"].startswith(service["metadata"]["name"] + ":")
+
+
+def test_the_robot_with_an_instance_on_board_uses_what_the_operator_writes_and_modules_of_the_image() -> None:
+    (robot,), (workload,) = of_kind("Deployment", "on-board"), of_kind("RobotWorkload", "on-board")
+    name = workload["metadata"]["name"]
+    used = {one["name"] for one in leaves(robot, "configMapRef")} | {one["name"] for one in leaves(robot, "configMap")}
+    assert used == {names.robot_env(name), names.mux(name), names.on_board(name), names.instance_profiles(name)}
+    modules = [
+        c["command"][2] for c in leaves(robot, "containers") for c in c if c.get("command", [""])[0] == "python3"
+    ]
+    assert modules == ["navigation_robot", "navigation_robot.standstill"]
+    assert (EXAMPLE / "src" / "navigation_robot" / "standstill.py").is_file()
 
 
 def test_no_key_is_a_yaml_boolean_by_accident() -> None:

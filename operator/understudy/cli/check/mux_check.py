@@ -38,7 +38,6 @@ def check(ours: Sequence[Manifest], others: Sequence[Manifest]) -> Iterator[Find
             )
             yield workload.finding("spec.gate.kind", message, warning=True)
         yield from _without_effect(workload)
-        yield from _for_all(workload, ours)
         yield from _on_one_node(workload, ours)
         yield from _beside(workload, ours)
 
@@ -88,19 +87,6 @@ def _without_effect(workload: Manifest) -> Iterator[Finding]:
     if items(workload.data, "spec", "gate", "reflex", "accept"):
         message = "has no effect with a mux, which switches all outputs at once; remove it"
         yield workload.finding("spec.gate.reflex.accept", message, warning=True)
-
-
-def _for_all(workload: Manifest, ours: Sequence[Manifest]) -> Iterator[Finding]:
-    """Report the procedures of a workload with a mux: its instances hear each other, and so do the nodes that a procedure names."""
-    pools = [(pool, "initialization") for pool in _pools(workload, ours)]
-    for manifest, field in [(workload, "bringUp"), *pools]:
-        if at(manifest.data, "spec", field) is None:
-            continue
-        message = (
-            f"with the mux of {workload.name}, its instances hear each other, so what this procedure does reaches the nodes of these names "
-            "in all of them (docs/mux.md): take gate kind NetworkPolicy, or give each instance a ROS namespace of its own"
-        )
-        yield manifest.finding(f"spec.{field}", message, warning=True)
 
 
 def _on_one_node(workload: Manifest, ours: Sequence[Manifest]) -> Iterator[Finding]:

@@ -99,16 +99,6 @@ spec:
         assert "would reach the robot beside the mux" in finding.message
 
 
-def test_procedures_that_would_reach_all_instances_are_reported() -> None:
-    managed = (EXAMPLE / "managed/robotworkload.yaml").read_text()
-    workload = managed.replace("  outputs:", "  gate: {kind: Mux}\n  outputs:")
-    initialized = (EXAMPLE / "strategies/initialized.yaml").read_text()
-    fields = [finding.field for finding in found(workload, initialized)]
-    assert fields == ["spec.bringUp", "spec.initialization"]
-    assert_golden("check", found(workload, initialized)[0].message, "robot-1-drive")
-    assert found(managed, initialized) == []
-
-
 def test_standbys_in_the_network_of_one_node_are_reported() -> None:
     pinned = WORKLOAD.replace(
         "      terminationGracePeriodSeconds",
