@@ -141,15 +141,11 @@ class Goal:
         """Start an attempt at an instance.
 
         Its id is the client's own. If that was already used there, it follows from the last one, so that each proxy that knows the last
-        attempt gives the next one the same id, and the instance executes it once.
+        attempt gives the next one the same id, and the instance executes it once. A goal that it has rejected gets another id too: the
+        instance takes a known id for a late order, or for one of another proxy.
         """
         before = self.attempts.get(uid)
-        if before is None:
-            made = Attempt(self.id)
-        elif before.at is AttemptState.REJECTED:
-            made = Attempt(before.id)
-        else:
-            made = Attempt(uuid.uuid5(uuid.UUID(before.id), uid).hex)
+        made = Attempt(self.id if before is None else uuid.uuid5(uuid.UUID(before.id), uid).hex)
         self.attempts[uid] = made
         return made
 

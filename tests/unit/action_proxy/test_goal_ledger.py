@@ -407,7 +407,9 @@ class TestSwitch:
         assert world.results == {}
         world.instances["b"].rejects = False
         world.later(1)
-        assert world.instances["b"].starts == [goal]
+        (started,) = world.instances["b"].starts
+        assert started == world.id_at(goal, "b")
+        assert started != goal, "the instance takes a repeated order for the one that it has rejected"
 
     def test_a_new_instance_that_rejects_a_goal_is_not_asked_forever(self, world: World) -> None:
         goal = world.ask()

@@ -94,6 +94,10 @@ async def test_goals_are_followed_and_executed_once_although_the_agent_is_killed
     await eventually(lambda: events.goal_state(long, "running") and events.goal_state(wrong, "rejected"), 60)
     await eventually(lambda: events.goal_state(aborted, "ended"), 60)
     assert events.goal_state(aborted, "ended")["status"] == ABORTED
+    # Another proxy had ordered it too. The client may know of the rejection by now.
+    await link.request("goal", body(wrong, 4))
+    await eventually(lambda: len([g for g in events.goals if g["id"] == wrong and g["state"] == "rejected"]) == 2)
+    assert not server.events_of("executing", goal=wrong)
     pod.kill(pod.agent)
     await eventually(lambda: not link.connected)
     pod.start_agent()

@@ -46,6 +46,9 @@ once."""
 AGAIN = 5.0
 """Seconds after which the result is requested again."""
 
+MOST_REJECTED = 16
+"""Rejected goals that are known: another proxy may order one too, and must not have it executed after the client was answered."""
+
 MOST_KEPT = 64
 """Ended goals that are remembered, in case the proxy missed their end."""
 
@@ -116,7 +119,7 @@ class TaskGoals:
         id, action, type_name, data = _checked(body)
         note = str(body.get("note", ""))
         known = self._records.get(id)
-        if known is not None and known.state != "rejected":
+        if known is not None:
             known.note = note
             self._repeat_end(known)
             return
@@ -221,9 +224,11 @@ class TaskGoals:
         self._publish({"goal": record.to_wire()})
 
     def _forget(self) -> None:
-        over = [record.id for record in self._records.values() if record.state not in _OPEN]
-        for id in over[:-MOST_KEPT]:
-            del self._records[id]
+        closed = [record for record in self._records.values() if record.state not in _OPEN]
+        rejected = [record for record in closed if record.state == "rejected"]
+        ended = [record for record in closed if record.state != "rejected"]
+        for record in rejected[:-MOST_REJECTED] + ended[:-MOST_KEPT]:
+            del self._records[record.id]
 
     async def _follow(self, record: _Record) -> None:
         """Send a goal and report its progress."""
