@@ -101,6 +101,7 @@ class Proxy:
                 {
                     "action": served.rule.action,
                     "active": sum(goal.open for goal in goals),
+                    "unasked": sum(goal.unasked is not None for goal in goals),
                     "resent": self._ledger.resent.get(served.rule.action, 0),
                     "message": "; ".join([served.problem, *troubles] if served.problem else troubles),
                     "served": served.server is not None,

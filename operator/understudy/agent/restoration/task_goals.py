@@ -47,7 +47,7 @@ AGAIN = 5.0
 """Seconds after which the result is requested again."""
 
 MOST_REJECTED = 16
-"""Rejected goals that are known: another proxy may order one too, and must not have it executed after the client was answered."""
+"""Rejected goals that are remembered: another proxy may order one too, and it must not be executed after the client was answered."""
 
 MOST_KEPT = 64
 """Ended goals that are remembered, in case the proxy missed their end."""

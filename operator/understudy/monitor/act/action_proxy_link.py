@@ -118,7 +118,17 @@ class ActionProxyLink:
 
     async def _listen(self, reader: asyncio.StreamReader) -> None:
         while line := await reader.readline():
-            self._report(json.loads(line)["report"])
+            report = json.loads(line)["report"]
+            self._report(report)
+            # An earlier proxy does not report it.
+            if any(task.get("unasked") for task in report["tasks"]):
+                await self._look_at_active()
+
+    async def _look_at_active(self) -> None:
+        """See whether the active pod is being deleted: its application aborts its goals then, which is no end of them."""
+        active = self._fleet.find(self._gate.state.active_uid)
+        if active is not None and not active.leaving:
+            await self._fleet.look_at(active)
 
     async def _situation(self, spec: RobotWorkloadSpec) -> dict[str, Any]:
         """The present situation, in the wire format of the proxy's Situation."""

@@ -91,8 +91,10 @@ class FastDds(Middleware):
         return profiles.profiles_xml(outputs, gate.reflex)
 
     def instance_settings(self, tasks: Iterable[Task], outputs: Iterable[Output], gate: Gate) -> str:
-        """Return the profiles with the partition of the pod for tasks, and with a mux for everything; without one, with lifespans for outputs,
-        and ownership with the reflex."""
+        """Return the profiles with the partition of the pod: for tasks, and with a mux for everything.
+
+        Without a mux, they have lifespans for outputs, and ownership with the reflex.
+        """
         from understudy.ros.dds import profiles
 
         if gate.is_at_robot:

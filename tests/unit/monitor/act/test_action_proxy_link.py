@@ -27,10 +27,17 @@ TASK = {"action": "/goto", "type": "test_msgs/action/Fibonacci", "abortGrace": "
 
 
 class Source:
-    """Of changes that never come: what changes is found by looking."""
+    """Of changes."""
+
+    def __init__(self) -> None:
+        self._changed = asyncio.Event()
+
+    def notify(self) -> None:
+        self._changed.set()
+        self._changed = asyncio.Event()
 
     async def changed(self) -> None:
-        await asyncio.Event().wait()
+        await self._changed.wait()
 
 
 @dataclass
@@ -52,6 +59,9 @@ class World:
     instances: list[Instance]
     state: GateState = GATE
     health: Health = "Healthy"
+    deleted: set[str] = field(default_factory=set)
+    """UIDs of pods whose deletion their watch has not reported."""
+    pods: Source = field(default_factory=lambda: Source())
     notices: RecordedNotices = field(default_factory=RecordedNotices)
 
     def __post_init__(self) -> None:
@@ -62,6 +72,10 @@ class World:
 
     def find(self, uid: str) -> Instance | None:
         return next((i for i in self.instances if i.uid == uid), None)
+
+    async def look_at(self, instance: Instance) -> None:
+        self.instances = [replace(i, terminating=True) if i.uid in self.deleted else i for i in self.instances]
+        self.pods.notify()
 
     async def secret(self, instance: Instance) -> MonitorSecret:
         return MonitorSecret(f"token of {instance.name}".encode(), PRIVATE_KEY)
@@ -129,6 +143,24 @@ async def test_the_proxy_receives_every_change_and_its_report_is_shown_even_if_i
     talk.send_state()
     await eventually(lambda: world.notices.conditions[CONDITION][:2] == ("False", "TypeNotInstalled"))
     assert [event[1] for event in world.notices.events] == ["TypeNotInstalled"]
+    server.close()
+    running.cancel()
+
+
+async def test_a_pod_whose_application_aborts_a_goal_is_looked_at_because_its_watch_may_be_late(socket: Path) -> None:
+    """Its application has received the signal to end. The abort would count as the end of the goal (seed 2251198)."""
+    world, task_view = World([ACTIVE, STANDBY], deleted={"1"}), view(TASK)
+    task_view.pods = world.pods
+    running = link(socket, task_view, world)
+    states: list[ControlState] = []
+    task = {"action": "/goto", "active": 1, "unasked": 0, "resent": 0, "message": "", "served": True}
+    talk = MonitorSocket(states.append, lambda: {"tasks": [task], "epoch": 3})
+    server = await talk.listen(socket)
+    await eventually(lambda: states)
+    assert states[-1].settled
+    task["unasked"] = 1
+    talk.send_state()
+    await eventually(lambda: not states[-1].settled, within=5.0)
     server.close()
     running.cancel()
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Callable, Coroutine
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -224,10 +225,12 @@ async def half_open(found: ClusterObjects, monkeypatch: pytest.MonkeyPatch) -> A
 
 @pytest.mark.parametrize("successor", [None, "u9"], ids=["gone", "another pod"])
 @pytest.mark.parametrize(
-    "write", [lambda pods: pods.end(FAILED), lambda pods: pods.label(FAILED)], ids=["delete", "label"]
+    "ask",
+    [lambda pods: pods.end(FAILED), lambda pods: pods.label(FAILED), lambda pods: pods.look_at(FAILED)],
+    ids=["delete", "label", "read"],
 )
-async def test_pods_are_listed_again_after_a_write_to_one_that_is_gone_without_a_report_of_the_watch(
-    write: Callable[[pod_control.PodControl], Coroutine[Any, Any, None]],
+async def test_pods_are_listed_again_after_a_request_about_one_that_is_gone_without_a_report_of_the_watch(
+    ask: Callable[[pod_control.PodControl], Coroutine[Any, Any, None]],
     successor: str | None,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -241,11 +244,31 @@ async def test_pods_are_listed_again_after_a_write_to_one_that_is_gone_without_a
             found.client.store(PODS, NAMESPACE, pod_of(Instance("w-1", successor, running=True)))
         assert [i.uid for i in found.pods.of_workload()] == ["u1"]
         with contextlib.suppress(ApiError):
-            await write(found.pods)
+            await ask(found.pods)
         async with asyncio.timeout(5):
             while found.pods.find("u1") is not None:
                 await asyncio.sleep(0.01)
         assert [i.uid for i in found.pods.of_workload()] == ([successor] if successor else [])
+
+
+async def test_a_pod_that_is_looked_at_is_leaving_although_its_watch_reports_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found = objects()
+    async with half_open(found, monkeypatch):
+        leaving = pod_of(replace(FAILED, terminating=True))
+        found.client.store(PODS, NAMESPACE, leaving)
+        await found.pods.look_at(FAILED)
+        known = found.pods.find("u1")
+        assert known is not None
+        assert known.leaving
+
+
+@pytest.mark.parametrize("error", [ApiError(500, "Error", "etcd"), TimeoutError()])
+async def test_a_pod_that_cannot_be_looked_at_stays_as_it_is_known(error: Exception) -> None:
+    found = objects(error)
+    await found.pods.look_at(FAILED)
+    assert found.pods.find("u1") == FAILED
 
 
 async def test_pods_are_listed_again_after_a_deletion_that_the_watch_does_not_report(

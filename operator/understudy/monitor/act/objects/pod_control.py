@@ -18,7 +18,7 @@ from understudy.failover.interfaces import ClaimLost, Instance, NotAvailable
 from understudy.kube import claims
 from understudy.kube.apply import controller_of, released
 from understudy.kube.client import EVICTION, FAILURES, PODS, REPLICA_SETS, ApiError, Client, Object
-from understudy.kube.repeated_requests import answered
+from understudy.kube.repeated_requests import TRY_WITHIN, answered
 from understudy.kube.watched_collection import any_changed
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.notices import Notices, PodClaimed
@@ -264,6 +264,20 @@ class PodControl:
         except ApiError as error:
             if not error.not_found:
                 _logger.warning("could not restore the label %s of %s: %s", names.WORKLOAD, name, error)
+
+    async def look_at(self, instance: Instance) -> None:
+        """Read a pod, because its watch may be late or half-open. Nothing changes if the API server does not answer."""
+        name, uid = instance.name, instance.uid
+        try:
+            async with asyncio.timeout(TRY_WITHIN):
+                pod = await self._written(name, uid, self._client.get(PODS, self._view.namespace, name))
+        except FAILURES as error:
+            _logger.info("pod %s could not be read: %r", name, error)
+            return
+        if pod is not None and pod["metadata"]["uid"] == uid:
+            self._view.pods.put(pod)
+        else:
+            self._doubt(name, uid)
 
     async def _restore_labels(self, name: str, uid: str) -> None:
         pod = await self._client.get(PODS, self._view.namespace, name)
