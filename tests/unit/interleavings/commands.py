@@ -38,10 +38,10 @@ class Commands:
         if known is None or known.uid != gate.active_uid:
             self._driving[workload] = Driving(gate.active_uid, gate.epoch, self._clock())
 
-    def may_be_on_the_way(self, workload: str) -> bool:
-        """Whether what was sent before the last switch may still arrive, at an instance that stood still meanwhile."""
-        driving = self._driving.get(workload)
-        return driving is not None and self._clock() - driving.since <= ON_THE_WAY
+    def may_be_on_the_way(self, found: Running) -> bool:
+        """Whether what was sent to an instance before the last switch may still arrive there: it may have stood still meanwhile."""
+        driving = self._driving.get(found.robot)
+        return driving is not None and self._clock() - max(driving.since, found.sends_since) <= ON_THE_WAY
 
     def drives(self, found: Running) -> bool:
         """Whether the gate object names an instance."""

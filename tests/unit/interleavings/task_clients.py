@@ -87,6 +87,7 @@ class Clients:
             return
         choices, now = self.robots.choices, self.robots.loop.time()
         made = Goal(f"{choices.getrandbits(128):032x}", workload, 0.5 + 6 * choices.random(), now)
+        made.excused = len(servers) > 1
         self.goals[made.id] = made
         self.counts["sent"] += 1
         self.note(f"client of {workload}: goal {made.id[:6]}, {made.lasts:.1f} s of work")
@@ -169,7 +170,7 @@ class Clients:
         self.note(f"{found.name}: works on {goal[:6]}")
         # The network may still let an instance through that the gate does not name, and its agent may have stood still with an order of
         # before that switch.
-        if not found.through or (not self.commands.drives(found) and self.commands.may_be_on_the_way(found.robot)):
+        if not found.through or (not self.commands.drives(found) and self.commands.may_be_on_the_way(found)):
             return
         by = self._begun.setdefault(goal, {})
         if by.keys() - {found.uid}:
