@@ -95,6 +95,10 @@ class Middleware(ABC):
     def mux_settings(self, outputs: Iterable[Output]) -> str:
         """Return the settings file of a mux, which passes these outputs on between the instances and the robot."""
 
+    @abstractmethod
+    def is_kept_apart(self, environment: Mapping[str, str]) -> bool:
+        """Whether no other instance and no process of the robot matches the writers of a process with this environment."""
+
     # -- Who sends and who reads --------------------------------------------------------------------------------------
 
     @abstractmethod

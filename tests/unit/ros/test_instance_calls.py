@@ -15,6 +15,9 @@ import pytest
 
 from tests.support.network_namespaces import Network, network
 from tests.unit.ros.processes import PACKAGE, Processes
+from understudy.api import names
+from understudy.api.kinds.robot_workload import Gate
+from understudy.ros.rmw import MIDDLEWARE
 
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("dds")]
 
@@ -304,8 +307,9 @@ rclpy.spin(node)
 class Instances:
     """The process that publishes to the instance of its host, that instance, and one of another host that no packet reaches."""
 
-    def __init__(self, running: Processes, lan: Network, known: str) -> None:
-        environment = {
+    def __init__(self, running: Processes, lan: Network, known: str, profiles: Path | None = None) -> None:
+        environment = {} if profiles is None else {MIDDLEWARE.settings_variable: str(profiles)}
+        environment |= {
             "ROS_DOMAIN_ID": "62",
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
             "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
@@ -314,8 +318,8 @@ class Instances:
         other, own = lan.host("10.62.0.2"), lan.host("10.62.0.3")
         listen, publish = ["-c", LISTEN], [str(Path(__file__).parent / "publishing.py"), "2", known]
         unreachable, self.instance, self._publisher = (
-            running.start([*host, sys.executable, *command], **environment)
-            for host, command in ((other, listen), (own, listen), (own, publish))
+            running.start([*host, sys.executable, *command], **environment, **{names.POD_VARIABLE: pod})
+            for pod, host, command in (("w-2", other, listen), ("w-1", own, listen), ("w-1", own, publish))
         )
         assert running.line(self._publisher, WITHIN) == "all"
         unreachable.send_signal(signal.SIGSTOP)
@@ -329,11 +333,14 @@ class Instances:
 
 
 @pytest.fixture(params=["named"])
-def instances(request: pytest.FixtureRequest) -> Iterator[Instances]:
-    running = Processes()
+def instances(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Instances]:
+    running, known, profiles = Processes(), request.param, None
+    if known == "apart":  # by a mux, so that the nodes of the other one are never known
+        known, profiles = "discovered", tmp_path / "profiles.xml"
+        profiles.write_text(MIDDLEWARE.instance_settings([], [], Gate(kind="Mux")))
     with network() as lan:
         try:
-            yield Instances(running, lan, request.param)
+            yield Instances(running, lan, known, profiles)
         finally:
             running.end()
 
@@ -343,6 +350,21 @@ def test_an_unreachable_subscriber_delays_nothing(instances: Instances) -> None:
     """Instances of one workload know of each other's subscribers, and no packet passes between them."""
     assert instances.publish("here", WITHIN) == "published here"
     assert Processes.line(instances.instance, WITHIN) == "here"
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="network namespaces need root")
+@pytest.mark.parametrize("instances", ["apart"], indirect=True)
+def test_a_subscriber_of_an_instance_that_a_partition_keeps_apart_is_not_waited_for(instances: Instances) -> None:
+    # Discovery forgets the stopped one after 20 s.
+    assert instances.publish("here", 10.0) == "published here"
+    assert Processes.line(instances.instance, WITHIN) == "here"
+    instances.instance.send_signal(signal.SIGSTOP)
+    assert (
+        instances.publish("early", 2.0)
+        == "failed the subscribers of /initialpose have not taken the message within 2 s"
+    )
+    instances.instance.send_signal(signal.SIGCONT)
+    assert instances.publish("late", WITHIN) == "published late"
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="network namespaces need root")

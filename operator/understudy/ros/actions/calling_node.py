@@ -1,11 +1,13 @@
 """The node with which an agent calls services of its instance, and its view of the graph.
 
 If the host is known, only endpoints on this host count as the instance's. Behind a discovery server an agent also
-discovers the other instances' servers, which network policies keep it from reaching.
+discovers the other instances' servers, which network policies keep it from reaching. With a mux, DDS partitions do that, so that it does
+not match their endpoints either.
 """
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -48,6 +50,7 @@ class CallingNode:
         self._served = ServedNode(name, context=self._context)
         self.node = self._served.node
         self._clients: dict[tuple[str, str], ServiceClient] = {}
+        self._is_kept_apart = MIDDLEWARE.is_kept_apart(os.environ)
 
     def is_at(self, location: GraphLocation | None) -> bool:
         """Return whether the node was created at this location and is still alive."""
@@ -79,14 +82,16 @@ class CallingNode:
         return any(self._here(w) and f"{w.node_namespace.rstrip('/')}/{w.node_name}" == name for w in writers)
 
     def is_read(self, publisher: Any, topic: str, type_name: str) -> bool:
-        """Whether all readers of a topic of that type are matched, and one of them is here."""
-        readers = [
-            reader for reader in self.node.get_subscriptions_info_by_topic(topic) if reader.topic_type == type_name
-        ]
-        return any(map(self._here, readers)) and bool(publisher.get_subscription_count() >= len(readers))
+        """Whether all readers of a topic of that type are matched that can be, and one of them is here."""
+        readers = [e for e in self.node.get_subscriptions_info_by_topic(topic) if e.topic_type == type_name]
+        here = sum(map(self._here, readers))
+        reached = here if self._is_kept_apart else len(readers)
+        return here > 0 and bool(publisher.get_subscription_count() >= reached)
 
     def is_read_elsewhere(self, topic: str, type_name: str) -> bool:
-        """Whether a reader on another host subscribes to a topic."""
+        """Whether a reader on another host subscribes to a topic and is matched by writers of this process."""
+        if self._is_kept_apart:
+            return False
         readers = self.node.get_subscriptions_info_by_topic(topic)
         return any(e.topic_type == type_name and not self._here(e) for e in readers)
 

@@ -6,6 +6,7 @@ Modules are imported when they are first used: an agent has neither models of th
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from understudy.api import names
@@ -112,6 +113,16 @@ class FastDds(Middleware):
         from understudy.ros.dds import profiles
 
         return profiles.mux_profiles_xml(outputs)
+
+    def is_kept_apart(self, environment: Mapping[str, str]) -> bool:
+        """Read the settings file: those of an instance with a mux have a partition for all writers."""
+        from understudy.ros.dds import profiles
+
+        file = environment.get(self.settings_variable)
+        try:
+            return bool(file) and profiles.APART in Path(file or "").read_text()
+        except (OSError, ValueError):
+            return False
 
     def host_of(self, gid: bytes) -> bytes:
         """Return the vendor and the host id."""
