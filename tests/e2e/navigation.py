@@ -175,12 +175,13 @@ class Navigator(Robot):
                               note=self.describe)  # fmt: skip
         return pod
 
-    def send_client(self, goals: int, tour: int | None = None) -> None:
-        """Have a client send so many goals, one after the other."""
+    def send_client(self, goals: int, tour: int | None = None, *, within: float | None = None) -> None:
+        """Have a client send so many goals, one after the other, and wait for each as many seconds."""
         (job,) = yaml.safe_load_all((self._manifests / "client.yaml").read_text())
         container = job["spec"]["template"]["spec"]["containers"][0]
         container["command"] = ["python3", "-m", f"{self.EXAMPLE}_client", "--goals", str(goals)]
         container["command"] += ["--tour", str(tour)] if tour is not None else []
+        container["command"] += ["--within", str(within)] if within is not None else []
         self.kubectl.apply([job])
 
     # -- looking ----------------------------------------------------------------------------------------------------

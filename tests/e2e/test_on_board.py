@@ -110,7 +110,7 @@ def test_a_goal_is_resumed_after_a_cut_of_ten_minutes_with_three_failures(kubect
     navigator = Navigator(kubectl)
     navigator.set_up("executing", folder="on-board", edit=lambda objects: place(objects, stage))
     active = navigator.wait_protected()
-    navigator.send_client(1)
+    navigator.send_client(1, within=CUT + 2 * DONE)
     navigator.wait_driving(120)
     pod = kubectl.get("pod", navigator.robot_pod())
     began = time.time()

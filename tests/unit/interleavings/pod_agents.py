@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 NOTICES = 0.5
 """Seconds of silence after which an agent says that its application is not healthy."""
 
+READS = ("goals",)
+"""Operations that change nothing in an instance: they may be of an old epoch."""
+
 FAILS_WITHIN = 0.5
 """Seconds after which a procedure that fails early has failed, at most."""
 
@@ -177,7 +180,8 @@ class PodAgent:
 
     def _seen(self, name: str, operation: Operation) -> Operation:
         async def carry_out(body: Mapping[str, Any], peer: Peer) -> Mapping[str, Any] | None:
-            self._robots.commanded(self._found, name, GateEpoch.from_wire(body.get("gate")), peer.host)
+            if name not in READS:
+                self._robots.commanded(self._found, name, GateEpoch.from_wire(body.get("gate")), peer.host)
             return await operation(body, peer)
 
         return carry_out
