@@ -113,6 +113,8 @@ class Order:
     """What the instance stores with the goal (see :meth:`GoalLedger.adopt`)."""
     withdrawn: bool = False
     """Whether it is cancelled although no client asked for that: another instance is in control, or none."""
+    held: bool = False
+    """Whether nothing is done about it yet: it would be withdrawn, and the instance may be in control by now."""
 
 
 @dataclass
@@ -365,7 +367,8 @@ class GoalLedger:
             kind, cancel = rule.type if rule else "", goal.is_cancelled or not wanted
             # The instance keeps that a goal was withdrawn: a proxy without a journal sends it again. So it must not have ended.
             withdrawn = cancel and goal.open and not goal.is_cancelled
-            found.append(Order(attempt.id, goal.action, kind, goal.data, cancel, goal.note(), withdrawn))
+            held = withdrawn and self.situation is not None and not self.situation.is_confirmed
+            found.append(Order(attempt.id, goal.action, kind, goal.data, cancel, goal.note(), withdrawn, held))
         return found
 
     def of_action(self, action: str) -> list[Goal]:

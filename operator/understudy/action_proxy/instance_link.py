@@ -176,6 +176,8 @@ class InstanceLink:
         # Orders change while others are sent: a goal that the instance has rejected meanwhile must not be sent again at once.
         while (order := next((o for o in self._listener.orders(self.peer.uid) if o.id not in seen), None)) is not None:
             seen.add(order.id)
+            if order.held:
+                continue
             self._mine.add(order.id)
             try:
                 if order.cancel:

@@ -168,6 +168,19 @@ class TestMissingJournal:
         world.switch("b")
         assert world.ledger.orders("b") == []
 
+    def test_nothing_is_withdrawn_while_the_api_server_does_not_answer(self, world: World) -> None:
+        """Another monitor may have let the instance through, and its proxy may have given it the goal again (seed 2252022)."""
+        goal = world.ask()
+        world.want(goal)
+        world.is_confirmed = False
+        world.switch("")
+        assert world.instances["a"].running == {goal: None}
+        (order,) = world.ledger.orders("a")
+        assert (order.cancel, order.held) == (True, True)
+        world.is_confirmed = True
+        world.tell()
+        assert world.instances["a"].withdrawn == {goal}
+
     def test_a_goal_that_was_aborted_shortly_before_its_instance_is_replaced_continues(self, world: World) -> None:
         """The application of an instance that is being deleted aborts its goals, before the next proxy connects."""
         first, second = world.ask(), world.ask()

@@ -93,8 +93,10 @@ class LinkRecorder:
         self.troubles[action] = problem
 
 
-def order(id: str, action: str = "/goto", *, cancel: bool = False, withdrawn: bool = False) -> Order:
-    return Order(id, action, "test_msgs/action/Fibonacci", "", cancel, "note", withdrawn)
+def order(
+    id: str, action: str = "/goto", *, cancel: bool = False, withdrawn: bool = False, held: bool = False
+) -> Order:
+    return Order(id, action, "test_msgs/action/Fibonacci", "", cancel, "note", withdrawn, held)
 
 
 async def eventually(holds: Any, within: float = 20.0) -> None:
@@ -209,6 +211,20 @@ async def test_a_cancellation_is_requested_once(agent: Agent, recorder: LinkReco
     link.wake()
     await eventually(lambda: ("goal", SECOND) in agent.asked)
     assert agent.asked.count(("cancel", FIRST)) == 1
+
+
+async def test_an_order_that_is_held_leaves_the_goal_where_it_is(
+    agent: Agent, recorder: LinkRecorder, link: InstanceLink
+) -> None:
+    recorder.ordered = [order(FIRST)]
+    await eventually(lambda: ("goal", FIRST) in agent.asked)
+    recorder.ordered = [order(FIRST, cancel=True, withdrawn=True, held=True), order(SECOND)]
+    link.wake()
+    await eventually(lambda: ("goal", SECOND) in agent.asked)
+    assert ("cancel", FIRST) not in agent.asked
+    recorder.ordered = [order(FIRST, cancel=True, withdrawn=True), order(SECOND)]
+    link.wake()
+    await eventually(lambda: agent.withdrawn == [True])
 
 
 async def test_an_instance_learns_that_a_withdrawn_goal_has_ended(

@@ -38,6 +38,7 @@ class World:
         self.active = ""
         self.settled = True
         self.on_board = False
+        self.is_confirmed = True
         self.rule = TaskRule(ACTION, "test_msgs/action/Fibonacci", on_failover, 2.0)
         self.instances = {uid: Instance(uid) for uid in instances or ("a", "b")}
         self.accepted: dict[str, bool] = {}
@@ -64,7 +65,16 @@ class World:
 
     def tell(self, *, work: bool = True) -> None:
         peers = tuple(Peer(i.uid, i.uid, "", 0, "", "", i.executing) for i in self.instances.values())
-        state = ControlState("w", self.epoch, self.active, self.settled, (self.rule,), peers, on_board=self.on_board)
+        state = ControlState(
+            "w",
+            self.epoch,
+            self.active,
+            self.settled,
+            (self.rule,),
+            peers,
+            on_board=self.on_board,
+            is_confirmed=self.is_confirmed,
+        )
         self.ledger.place(state, self.now)
         self.ledger.connected = set(self.instances)
         self.go(work=work)
@@ -129,6 +139,8 @@ class World:
         return any(attempt.open for attempt in attempts if attempt is not None and attempt.id == id)
 
     def _obey(self, instance: Instance, order: Order) -> bool:
+        if order.held:
+            return False
         if order.cancel and not order.withdrawn:
             instance.withdrawn.discard(order.id)
         if order.id in instance.ended:

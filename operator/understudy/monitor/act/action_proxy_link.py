@@ -161,6 +161,7 @@ class ActionProxyLink:
             "epoch": state.epoch,
             "active": state.active_uid,
             "on_board": self._drove_on_board(),
+            "is_confirmed": self._gate.unanswered_since is None,
             "settled": settled(self._notices.status.health, self._fleet.find(state.active_uid)),
             "rules": [
                 {

@@ -59,6 +59,7 @@ class World:
     instances: list[Instance]
     state: GateState = GATE
     health: Health = "Healthy"
+    unanswered_since: float | None = None
     deleted: set[str] = field(default_factory=set)
     """UIDs of pods whose deletion their watch has not reported."""
     pods: Source = field(default_factory=lambda: Source())
@@ -135,6 +136,9 @@ async def test_the_proxy_receives_every_change_and_its_report_is_shown_even_if_i
     await eventually(lambda: world.notices.status.task_statuses and world.notices.conditions)
     assert (world.notices.status.task_statuses[0].active, world.notices.status.task_statuses[0].resent) == (2, 1)
     assert world.notices.conditions[CONDITION][:2] == ("True", "Serving")
+    assert states[-1].is_confirmed
+    world.unanswered_since = 1.0
+    await eventually(lambda: not states[-1].is_confirmed)
     world.notices.set(health="Recovering")
     await eventually(lambda: not states[-1].settled)
     world.state = GateState(epoch=4, active="w-2", active_uid="2")
