@@ -209,6 +209,7 @@ class MuxInvariants(Invariants):
         received, now = self._received[mux.workload], self._now
         if before.on_board and after.source == before.ordered:
             self.counts["returned"] += 1
+            received.replaced = set()  # control returned by an order
             return
         self.counts["stood in" if after.on_board else "switched"] += 1
         deadline = self._after if after.on_board else self._deadline
