@@ -213,8 +213,8 @@ class MuxInvariants(Invariants):
             return
         self.counts["stood in" if after.on_board else "switched"] += 1
         deadline = self._after if after.on_board else self._deadline
-        # An instance may stop before it was discovered. That takes longer than a reflex, and less than the silence for one on board. One that
-        # was silent when this mux began may send again before it is discovered.
+        # An instance may stop before it was discovered. That takes longer than a reflex, and less than the silence for one on board. One
+        # that was silent when this mux began may send again before it is discovered.
         is_undiscovered = before.source not in mux.last_known
         last = mux.last_known if after.on_board or is_undiscovered else mux.last
         silent = now - max(last.get(before.source, received.since), received.since)
