@@ -24,6 +24,8 @@ from understudy.failover.switchover import Preparation, prepare, settle, switch
 
 BRING_UP = BringUp("bringUp", {}, 0.2, "digest", False)
 WITHIN = 0.3
+PATIENT = 10.0
+"""Seconds for a preparation that succeeds at once on a machine that is not busy."""
 
 
 def driven(**standby: object) -> Store:
@@ -50,13 +52,15 @@ def planned(world: World) -> Progress:
     return progress
 
 
-async def prepared_by(world: World, *strategies: Strategy, unfit: switchover.Unfit = anything) -> Preparation:
-    choices = [Choice(strategy, WITHIN) for strategy in strategies]
+async def prepared_by(
+    world: World, *strategies: Strategy, unfit: switchover.Unfit = anything, within: float = WITHIN
+) -> Preparation:
+    choices = [Choice(strategy, within) for strategy in strategies]
     return await prepare(planned(world), choices, world.context(), unfit)
 
 
-async def switched(world: World, *strategies: Strategy) -> Progress:
-    return await switch(await prepared_by(world, *strategies), world.context())
+async def switched(world: World, *strategies: Strategy, within: float = WITHIN) -> Progress:
+    return await switch(await prepared_by(world, *strategies, within=within), world.context())
 
 
 STRATEGIES: Sequence[tuple[Strategy, dict[str, object]]] = (
@@ -277,7 +281,7 @@ async def test_a_switchover_interrupted_at_any_step_leaves_one_active_instance_a
         store.add("w-9", **standby)
         world = World(store, dies_after=step)
         try:
-            done = await switched(world, strategy)
+            done = await switched(world, strategy, within=PATIENT)
         except Killed:
             assert store.gate.active in ("w-1", "w-2", "w-9"), f"killed at step {step}"
             assert store.gate.active in store.pods, f"killed at step {step}: who is let through runs"
@@ -287,7 +291,7 @@ async def test_a_switchover_interrupted_at_any_step_leaves_one_active_instance_a
             if unfinished is not None and (unfinished.result != "Running" or switchover.committed(unfinished, context)):
                 done = await settle(unfinished.model_copy(deep=True), context)
             else:
-                done = await switched(World(store), strategy)
+                done = await switched(World(store), strategy, within=PATIENT)
         assert done.result == "Recovered", f"killed at step {step}"
         assert store.commits.count("") == 0, f"killed at step {step}: the gate was closed"
         assert len([c for c in store.commits if c]) == 1, f"killed at step {step}: {store.commits}"
