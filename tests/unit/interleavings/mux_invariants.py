@@ -44,6 +44,7 @@ from understudy.kube.gates.base import GateRecord
 from understudy.kube.gates.mux_reports import SILENT
 from understudy.monitor.judge.failure_detection import UNREACHED
 from understudy.mux.control import Control
+from understudy.mux.forwarder import DISCOVERY
 
 REPORTED = SILENT + 3.0
 """Seconds after which a monitor reports that its mux does not forward whom it should: it is judged once a second."""
@@ -214,8 +215,8 @@ class MuxInvariants(Invariants):
         self.counts["stood in" if after.on_board else "switched"] += 1
         deadline = self._after if after.on_board else self._deadline
         # An instance may stop before it was discovered. That takes longer than a reflex, and less than the silence for one on board. One
-        # that was silent when this mux began may send again before it is discovered.
-        is_undiscovered = before.source not in mux.last_known
+        # that was silent for as long as discovery may take may send again before it is discovered.
+        is_undiscovered = before.source not in mux.last_known and now - mux.began >= DISCOVERY
         last = mux.last_known if after.on_board or is_undiscovered else mux.last
         silent = now - max(last.get(before.source, received.since), received.since)
         heard = now - mux.last.get(after.source, 0.0)

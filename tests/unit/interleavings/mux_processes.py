@@ -137,6 +137,8 @@ class Mux:
         """Called when it sends the robot a safe command."""
         self.process: Process | None = None
         self.forwarder: WatchedForwarder | None = None
+        self.began = 0.0
+        """When the present process started (virtual seconds)."""
         self.arrivals = 0
         """Number of samples that have arrived."""
         self._heard: set[bytes] = set()
@@ -180,6 +182,7 @@ class Mux:
         """A process of it starts."""
         loop = self._network.loop
         process = self.process = loop.process(name)
+        self.began = loop.time()
         self.last, self.last_known, self._known, self._heard, self._ready = {}, {}, {}, set(), set()
         follow(process, self._run(process))
 
