@@ -235,6 +235,9 @@ FENCED_VARIABLE = "UNDERSTUDY_FENCED_CONTAINERS"
 UNFENCED_VARIABLE = "UNDERSTUDY_UNFENCED_CONTAINERS"
 """Environment variables with the containers that the agent can hold while the pod is cut off, and those that it cannot hold."""
 
+APART_PROFILE = "understudy_apart"
+"""Name of the profile of all writers that have no other one, if they are in the partition of the pod. An agent looks for it."""
+
 STRENGTH_VARIABLE = "UNDERSTUDY_STRENGTH"
 """Placeholder in the profiles for an instance's ownership strength. It is replaced before any process reads them."""
 

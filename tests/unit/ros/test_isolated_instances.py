@@ -90,12 +90,11 @@ class Stand:
         answer: dict[str, Any] = json.loads(self._processes.line(process, 30))
         return answer
 
-    def until_heard(self, process: Any, expected: dict[str, list[str]]) -> dict[str, Any]:
+    def until_heard(self, process: Any, expected: dict[str, list[str]]) -> None:
         end = time.monotonic() + 30
         while (found := self.ask(process))["heard"] != expected and time.monotonic() < end:
             time.sleep(0.1)
         assert found["heard"] == expected
-        return found
 
 
 @pytest.fixture

@@ -116,11 +116,11 @@ class FastDds(Middleware):
 
     def is_kept_apart(self, environment: Mapping[str, str]) -> bool:
         """Read the settings file: those of an instance with a mux have a partition for all writers."""
-        from understudy.ros.dds import profiles
-
         file = environment.get(self.settings_variable)
+        if not file:
+            return False
         try:
-            return bool(file) and profiles.APART in Path(file or "").read_text()
+            return names.APART_PROFILE in Path(file).read_text()
         except (OSError, ValueError):
             return False
 

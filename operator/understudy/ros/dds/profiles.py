@@ -225,11 +225,8 @@ _PARTITIONED = """\
     </{kind}>
 """
 
-APART = "understudy_apart"
-"""Name of the profile of all writers that have no other one, if they are in the partition of the pod."""
-
 _DEFAULT_WRITER = f"""\
-    <data_writer profile_name="{APART}" is_default_profile="true">
+    <data_writer profile_name="{names.APART_PROFILE}" is_default_profile="true">
       <qos><partition><names><name>{{partition}}</name></names></partition></qos>
     </data_writer>
 """
