@@ -421,9 +421,11 @@ async def test_an_instance_that_drives_late_is_not_fenced_before_a_commit_is_ans
     assert not gate.state.closed
 
 
-async def test_a_commit_without_an_answer_is_known_before_an_instance_that_drives_late_is_kept(
-    client: MemoryClient, found: ClusterView, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("drives", ["late", "again"])
+async def test_a_commit_without_an_answer_is_known_before_an_instance_that_drives_is_kept(
+    client: MemoryClient, found: ClusterView, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, drives: str
 ) -> None:
+    """Otherwise the recovery ends as if nothing was changed, and is never recorded (seed 3251347)."""
     monkeypatch.setattr(gate_control, "RETRY_FIRST", 0.02)
     gate, progress, running = await open_gate(client, found, tmp_path, FAILED), recovery(), asyncio.get_running_loop()
     write = client.patch
@@ -431,7 +433,8 @@ async def test_a_commit_without_an_answer_is_known_before_an_instance_that_drive
     async def carried_out(*arguments: Any, **options: Any) -> Object:
         await write(*arguments, **options)
         client.failing = lambda method, name: aiohttp.ClientConnectionError("unreachable")
-        progress.drives_late = progress.failed[0]
+        progress.healthy_again = drives == "again"
+        progress.drives_late = progress.failed[0] if drives == "late" else None
         running.call_later(0.2, setattr, client, "failing", lambda method, name: None)
         raise aiohttp.ClientConnectionError("the answer is lost")
 

@@ -134,7 +134,8 @@ class GateControl:
         let_through = self._pinned(previous, target, self._fleet.find(previous.active_uid), leaking=leaking)
         asked = time.monotonic()
         while True:
-            self._still_needed(record, progress)
+            if reason := self._not_needed(record, progress):
+                raise NoLongerNeeded(reason)
             if target is not None and self._view.fenced(record, time.time()):
                 raise Superseded("a user has fenced the robot, and has not resumed it")
             try:
@@ -166,9 +167,8 @@ class GateControl:
                 await asyncio.sleep(retry)
                 retry = min(2 * retry, RETRY_MOST)
             read = await self._reread(previous, uid, recovery)
-            while read is None and _admits_late(
-                record, progress
-            ):  # the commit may have been carried out: first it is known
+            # The commit may have been carried out. That must be known first, because nothing records a recovery that was not needed.
+            while read is None and self._not_needed(record, progress):
                 await asyncio.sleep(retry)
                 read = await self._reread(previous, uid, recovery)
             if read is not None and (read.active_uid in against or read.admitted_uid in against):
@@ -250,17 +250,19 @@ class GateControl:
         pods = pinned.with_pods(pinned.read(over.let_through), *named, *leaking)
         return pinned.write(pods) if pods else ""
 
-    def _still_needed(self, record: GateRecord, progress: Progress | None) -> None:
-        """Raise NoLongerNeeded if a recovery would begin by fencing an instance that is healthy again, or that was silent because somebody
-        deleted the gate, or if it would fence one that drives late."""
+    def _not_needed(self, record: GateRecord, progress: Progress | None) -> str:
+        """Return why a recovery need not commit; empty if it must.
+
+        It would begin by fencing an instance that is healthy again, or that was silent because somebody deleted the gate. Or it would fence
+        one that drives late.
+        """
         if progress is not None and not record.active and record.epoch == progress.open_at:
-            raise NoLongerNeeded(
-                f"somebody deleted the gate, and {progress.failed[0].name} could not reach the robot then"
-            )
+            return f"somebody deleted the gate, and {progress.failed[0].name} could not reach the robot then"
         if _admits_late(record, progress):
-            raise NoLongerNeeded(f"{record.active} drives by now, and was not fenced yet")
+            return f"{record.active} drives by now, and was not fenced yet"
         if progress is not None and progress.healthy_again and self._fences_first(record, progress):
-            raise NoLongerNeeded(f"{record.active} has been healthy again since the API server could not be reached")
+            return f"{record.active} has been healthy again since the API server could not be reached"
+        return ""
 
     def would_fence(self, progress: Progress) -> bool:
         """Whether the next commit of a recovery would begin it by fencing the instance that failed."""
