@@ -170,7 +170,8 @@ class Forwarder:
     def order(self, text: str) -> None:
         """Carry out an order, unless it is refused. A text that is no authentic order is ignored.
 
-        If the order cannot be kept, nobody is forwarded instead of the instance that it fences.
+        If the order cannot be kept, nobody is forwarded instead of the instance that it fences, and nobody switches any more by what it
+        replaces.
         """
         try:
             found, nonce = read_order(text, self._keys)
@@ -196,8 +197,9 @@ class Forwarder:
                 self._refused = f"the mux cannot keep it: {error}"
                 _logger.error("an order is refused: %s", self._refused)
                 self._not_kept = found.token
-                if control.source != self.control.source:  # fenced nevertheless: nobody needs to be remembered for that
-                    self._apply(replace(self.control, source=""), self._clock())
+                # It fences nevertheless: nobody needs to be remembered for that. And after ``understudy fence`` nobody may stand in.
+                source = self.control.source if control.source == self.control.source else ""
+                self._apply(replace(self.control, source=source, standing=control.standing), self._clock())
 
     def report(self) -> str:
         """Return the text of the present report."""

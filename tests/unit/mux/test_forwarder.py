@@ -250,6 +250,24 @@ def test_an_order_that_cannot_be_kept_fences_and_puts_nobody_in_control(stand: S
     assert stand.topic.forwarded == ["w-2"]
 
 
+@pytest.mark.parametrize("source", ["w-1", ""])
+def test_after_a_fence_that_cannot_be_kept_the_instance_on_board_does_not_stand_in(
+    stand: Stand, tmp_path: Path, source: str
+) -> None:
+    """Somebody may stand in front of the robot (seed 3252407)."""
+    standing = StandingOrder(on_board=OnBoard("w-2", {"/cmd_vel": 1.0}))
+    stand.order(replace(ORDER, source=source, standing=standing))
+    (tmp_path / "control.new").mkdir()
+    fence = replace(ORDER, epoch=6, source="", standing=StandingOrder())
+    assert "cannot keep it" in stand.order(fence).refused
+    (tmp_path / "control.new").rmdir()
+    stand.after(5.0, "w-2")
+    stand.after(5.0, "w-2")
+    assert (stand.report.source, stand.topic.forwarded) == ("", [])
+    assert not stand.order(fence, "again").refused
+    assert stand.mux.control.token == Token(1000.0, 6)
+
+
 def test_an_order_that_cannot_be_kept_does_not_stop_the_instance_that_it_names(stand: Stand, tmp_path: Path) -> None:
     stand.order(ORDER)
     (tmp_path / "control.new").mkdir()
