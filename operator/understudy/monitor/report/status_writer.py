@@ -42,6 +42,11 @@ to spare (docs/scale.md), so its begin is written as soon as the first commit is
 
 RETRY = 2.0  # seconds
 
+ANSWERED_WITHIN = 4.0
+"""Seconds that a write waits for its answer. Nothing else is written meanwhile, so recoveries that end then are listed only after it, and
+never if this monitor ends first. Nobody waits for the status, so this is longer than for other requests: a busy API server may answer late.
+"""
+
 WATCH = 1.0
 """Seconds between two checks whether the status was overwritten."""
 
@@ -164,7 +169,7 @@ class StatusWriter:
                     await self._free.wait()
 
     async def flush(self) -> None:
-        """Apply the status now, unless it is the one that was applied last."""
+        """Apply the status now, unless it is the one that was applied last. Raises one of FAILURES."""
         place = {"name": self._view.workload, "namespace": self._view.namespace}
         status = self._notices.status.to_wire()
         body: Object = {"apiVersion": API_VERSION, "kind": "RobotWorkload", "metadata": place, "status": status}
@@ -173,9 +178,10 @@ class StatusWriter:
             return
         # The status applied before is no longer valid, even if no answer comes.
         self._applied, self._answer = "", None
-        answer, unknown = await apply_declared(
-            self._client, WORKLOADS, self._view.namespace, body, manager=MANAGER, subresource="status"
-        )
+        async with asyncio.timeout(ANSWERED_WITHIN):
+            answer, unknown = await apply_declared(
+                self._client, WORKLOADS, self._view.namespace, body, manager=MANAGER, subresource="status"
+            )
         if unknown and unknown != self._unknown:
             _logger.warning("%s", lacking(WORKLOADS, unknown, "monitor"))
         self._unknown = unknown

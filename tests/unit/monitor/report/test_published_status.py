@@ -362,6 +362,28 @@ async def running(
         task.cancel()
 
 
+async def test_a_write_without_an_answer_does_not_hold_back_the_next_one_for_long(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A monitor that ends meanwhile would never list its recoveries (seed 3250149)."""
+    monkeypatch.setattr(status_writer, "RETRY", 0.02)
+    monkeypatch.setattr(status_writer, "ANSWERED_WITHIN", 0.02)
+    async with running(monkeypatch) as (api, living):
+        request = api.request
+
+        async def hang(*_: Any, **__: Any) -> Object:
+            say_recovered(living)
+            monkeypatch.setattr(api, "request", request)
+            await asyncio.Event().wait()
+            raise AssertionError
+
+        monkeypatch.setattr(api, "request", hang)
+        living.set(health="Degraded")
+        async with asyncio.timeout(2):
+            while api.item.get("status", {}).get("health") != "Healthy":
+                await asyncio.sleep(0.01)
+
+
 @contextlib.contextmanager
 def recovering(found: Monitor, *, status_soon: bool = False) -> Iterator[None]:
     """A recovery, of which everything is said in the order in which monitors do."""
