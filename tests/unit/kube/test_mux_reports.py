@@ -187,6 +187,24 @@ def test_an_instance_to_which_the_mux_switched_and_that_does_not_send_is_idle_af
     assert reports.own_switch("w-2") is None
 
 
+@pytest.mark.parametrize(
+    ("token", "source", "forwarded", "is_back"),
+    [
+        (Token(1000.0, 5, 2), "w-1", 3, True),
+        (Token(1000.0, 5, 1), "w-2", 3, False),
+        (Token(1000.0, 5, 2), "w-1", 0, False),
+        (Token(1000.0, 5), "w-1", 3, False),
+        (Token(1000.0, 4, 2), "w-1", 3, False),
+    ],
+    ids=["returned", "switched", "nothing forwarded yet", "never switched", "of an older epoch"],
+)
+def test_the_mux_is_back_at_the_active_instance_once_it_forwards_that_again(
+    reports: MuxReports, token: Token, source: str, forwarded: int, is_back: bool
+) -> None:
+    reports.add(replace(REPORT, token=token, source=source, forwarded=forwarded))
+    assert reports.is_back(ORDER.source) == is_back
+
+
 def test_the_instance_on_board_is_no_switch_that_anybody_commits(reports: MuxReports) -> None:
     reports.add(replace(REPORT, token=Token(1000.0, 5, 1), source="home", on_board=True))
     assert reports.own_switch("w-1") is None

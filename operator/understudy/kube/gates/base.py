@@ -153,6 +153,10 @@ class Proof(Protocol):
         """Return the switch to another instance than the active one that somebody at the gate has made by itself; None if there is none."""
         return None
 
+    def is_back(self, active: str) -> bool:
+        """Return whether somebody at the gate lets the active instance through again, after having switched to another one by itself."""
+        return False
+
     def switched(self, active: str) -> tuple[str, float, float] | None:
         """Return whom somebody at the gate has put in control instead of the active instance, when that was last heard, and when the other
         one was first let through, in Unix seconds. None if nobody there has switched.

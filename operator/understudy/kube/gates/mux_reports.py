@@ -228,6 +228,15 @@ class MuxReports:
         ages = report.heard.get(active, {}).values()
         return base.OwnSwitch(report.source, is_idle, active_sends=bool(ages) and max(ages) < HEARD)
 
+    def is_back(self, active: str) -> bool:
+        """Return whether the mux forwards the active instance again, after a switch of its own to another one."""
+        found = self.latest
+        if found is None or self.is_silent or self._ordered is None:
+            return False
+        report = found.report
+        has_switched = report.token.count > 0 and report.token.epoch == self._ordered[1].epoch
+        return has_switched and report.source == active and report.forwarded > 0
+
     def switched(self, active: str) -> tuple[str, float, float] | None:
         """Return whom the mux forwards by its standing order, when it last heard the active instance, and when it first forwarded the
         other one."""

@@ -418,6 +418,10 @@ class ProbeReceiver:
     def own_switch(self, active: str) -> None:
         """Return None, as in :meth:`switched`."""
 
+    def is_back(self, active: str) -> bool:
+        """Return False, as in :meth:`switched`."""
+        return False
+
     def switched(self, active: str) -> None:
         """Return None: nobody switches at the far side of the gate but the robot's own readers."""
 

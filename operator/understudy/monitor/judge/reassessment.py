@@ -2,6 +2,9 @@
 
 A monitor that is cut off from the robot sees silence. If it is cut off from the API server too, its commit arrives later, when the
 instance may have driven the robot the whole time. The same holds if that monitor ends before its commit, and the next one continues.
+
+If the mux at the robot has switched to a standby, the failed instance is fenced even if it is healthy again, since the standby drives. But
+the standby may fail too, and the mux may be back at the first instance before the commit is answered.
 """
 
 from __future__ import annotations
@@ -13,6 +16,7 @@ from contextlib import asynccontextmanager
 
 from understudy.failover.interfaces import Instances
 from understudy.failover.progress import PodIdentity, Progress
+from understudy.kube.gates.base import Proof
 from understudy.monitor.judge.unseen_restart import UnseenRestart
 from understudy.monitor.observe.robot.health_observer import HealthObserver
 
@@ -26,13 +30,13 @@ PERIOD = 0.05
 class Reassessment:
     """Marks a recovery whose failed instance is healthy again, until the recovery has committed."""
 
-    def __init__(self, fleet: Instances, observer: HealthObserver, unseen_restart: UnseenRestart) -> None:
-        self._fleet, self._observer, self._unseen_restart = fleet, observer, unseen_restart
+    def __init__(self, fleet: Instances, observer: HealthObserver, unseen_restart: UnseenRestart, proof: Proof) -> None:
+        self._fleet, self._observer, self._unseen_restart, self._proof = fleet, observer, unseen_restart, proof
 
     @asynccontextmanager
     async def during(self, progress: Progress) -> AsyncIterator[None]:
         """Observe the failed instance until the recovery has fenced it."""
-        if not _fences_a_failure(progress):
+        if not _fences_a_failure(progress) and progress.taken_over is None:
             yield
             return
         observing = asyncio.create_task(self._observe(progress, time.monotonic()))
@@ -59,7 +63,10 @@ class Reassessment:
         await asyncio.sleep(OLD / 2)
         while not {"fenced", "committed"} & progress.moments.keys():
             self._observer.drain(self._fleet.of_workload(), failed.name)
-            if (age := time.monotonic() - decided) >= OLD:
+            age = time.monotonic() - decided
+            if progress.taken_over is not None and not self._proof.is_back(failed.name):
+                progress.healthy_again = False
+            elif age >= OLD:
                 progress.healthy_again = self._healthy_again(failed, age)
                 progress.judged_at = asyncio.get_running_loop().time()
             await asyncio.sleep(PERIOD)

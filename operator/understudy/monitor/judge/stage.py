@@ -72,7 +72,7 @@ class JudgeStage:
         self.levels = DegradationLevel(senses.observer, notices)
         self.situations = SituationTracking(senses.observer, notices)
         self.unseen_restart = UnseenRestart(senses.observer, kept_from)
-        self.reassessment = Reassessment(pods, senses.observer, self.unseen_restart)
+        self.reassessment = Reassessment(pods, senses.observer, self.unseen_restart, senses.probes)
         interfaces = PodInterfaces(view, pods, senses.agents)
         self.enforcement = GateEnforcement(gate, senses.probes, notices, senses.readership, interfaces)
         self.sole_driver = SoleDriver(gate, senses.probes, senses.observer, notices)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -12,10 +13,12 @@ import pytest
 
 from tests.unit.monitor.cluster_objects import policy_of
 from tests.unit.monitor.monitors import GivenMonitor
+from understudy.failover import reflex
 from understudy.failover.decide import Recover, Trigger
-from understudy.failover.interfaces import GateState, Instance
+from understudy.failover.interfaces import GateState, Instance, NoLongerNeeded
 from understudy.failover.journal import Journal
 from understudy.failover.progress import PodIdentity, Progress
+from understudy.failover.reflex import ReflexSwitch
 from understudy.monitor import loop
 from understudy.monitor.decide.stage import Resolution
 from understudy.monitor.judge import reassessment
@@ -126,6 +129,23 @@ async def test_a_process_that_restarted_meanwhile_stays_failed_because_its_state
     later(monitor, HEALTHY)
     await monitor.recover()
     assert monitor.fenced
+
+
+@pytest.mark.parametrize("is_back", [True, False])
+async def test_after_the_mux_is_back_at_a_healthy_instance_that_is_not_fenced_for_a_standby(
+    monitor: CutOff, monkeypatch: pytest.MonkeyPatch, is_back: bool
+) -> None:
+    """The standby that took over failed too, and the instance on board gave control back (seed 3253319)."""
+    monkeypatch.setattr(monitor.objects.proof, "is_back", lambda active: is_back)
+    standby = ReflexSwitch(PodIdentity(name="w-2", uid="uid-2"), time.time() - 0.5, time.time() - 0.2)
+    progress = reflex.begin(standby, PodIdentity(name=ACTIVE.name, uid=ACTIVE.uid), 0.3)
+    monitor.observer.health = HEALTHY
+    monitor.answers(True)
+    async with monitor.loop.judge.reassessment.during(progress):
+        await asyncio.sleep(0.4)
+        with pytest.raises(NoLongerNeeded) if is_back else contextlib.nullcontext():
+            await monitor.objects.gate.commit(None, progress)
+    assert monitor.fenced != is_back
 
 
 async def test_a_recovery_that_has_committed_goes_on(monitor: CutOff) -> None:
