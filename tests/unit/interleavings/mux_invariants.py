@@ -18,7 +18,7 @@
 - Where nothing hinders the monitor and the mux, they and the gate agree on the instance within seconds.
 
 And in the end: gate, mux and monitor agree on one instance, which drives, GateEnforced is True, each switch that a monitor has committed is
-recorded, and with a reflex a standby is admitted if one works.
+recorded, unless a user's fence ended its recovery, and with a reflex a standby is admitted if one works.
 """
 
 from __future__ import annotations
@@ -102,6 +102,8 @@ class MuxInvariants(Invariants):
         """By workload and epoch, who committed this and for which recovery. A gate is opened for the first time without one."""
         self._unrecorded: dict[str, dict[tuple[str, str], tuple[str, str]]] = defaultdict(dict)
         """By workload, the instances between which a mux has switched, and who committed that for which recovery."""
+        self._ended_by_fence: dict[str, str] = {}
+        """By workload, the recovery that was at the gate when a user last fenced the robot."""
         self._given_up: set[str] = set()
         """Monitors that were killed, and whose recoveries no other one continues."""
         self._recorded: dict[str, set[str]] = defaultdict(set)
@@ -127,6 +129,8 @@ class MuxInvariants(Invariants):
                 self._note(workload, record)
                 self._knew[workload][record.epoch] = self._known(by)
                 self._recovers(workload, record, by)
+                if by == "somebody" and record.fenced:
+                    self._ended_by_fence[workload] = _recovery(record)
                 if record.recovery or (before is not None and before.active):
                     self._writers[workload][record.epoch] = by, _recovery(record)
         elif plural == "robotworkloads" and new is not None:
@@ -262,6 +266,8 @@ class MuxInvariants(Invariants):
         """Compare mux, gate, and what monitors report."""
         mux, record = self.mine.muxes[workload], gates.record(self._server, workload)
         source = mux.control.source if mux.control is not None and mux.runs() else ""
+        if workload in self.fenced:
+            self._excuse_fenced(workload, monitors)
         for monitor in monitors:
             known, who = monitor.gate_record, str(monitor.process)
             active = known.active if known is not None else ""
@@ -289,6 +295,16 @@ class MuxInvariants(Invariants):
         )
         self._lasts((workload, "own"), differs and is_own, COMMITTED, 0.0, words)
         self._lasts((workload, "agreement"), differs and not is_own, AGREED, 0.0, words)
+
+    def _excuse_fenced(self, workload: str, monitors: Sequence[MuxMonitor]) -> None:
+        """A recovery that a user's fence ends is not recorded, if its monitor had not ended it and reports that it is superseded."""
+        superseded = {one.process.name for one in monitors if one.condition("Recovering")[1] == "Superseded"}
+        ended, switches = self._ended_by_fence.get(workload, ""), self._unrecorded[workload]
+        self._unrecorded[workload] = {
+            pods: (monitor, id_)
+            for pods, (monitor, id_) in switches.items()
+            if id_ != ended or monitor not in superseded
+        }
 
     def _lasts(self, what: tuple[str, str], so: bool, within: float, excused_until: float, words: str) -> None:
         """Break if something has been so for longer than it may be. ``excused_until`` is in Unix seconds."""

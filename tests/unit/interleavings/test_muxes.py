@@ -19,6 +19,7 @@ from tests.unit.interleavings.muxes import SCENES, Muxed
 from tests.unit.interleavings.scenes import Outcome, Scene
 from understudy.api.protocol.mux_messages import Order, Token
 from understudy.kube.gates.mux_reports import MuxReports
+from understudy.monitor import outcome
 from understudy.monitor.act.objects.gate_control import GateControl
 from understudy.monitor.judge.reflex_takeover import ReflexTakeover
 from understudy.mux import forwarder
@@ -175,6 +176,11 @@ def test_an_instance_that_is_replaced_before_it_can_be_discovered_is_detected() 
 def test_a_switch_that_no_monitor_commits_is_detected() -> None:
     with mock.patch.object(ReflexTakeover, "detect", return_value=None):
         assert found("and the mux forwards", REFLEX, "driver_fails", "instance_loses_the_mux", first=1)
+
+
+def test_a_committed_switch_of_which_no_recovery_is_recorded_is_detected() -> None:
+    with mock.patch.object(outcome.Outcome, "concluded", False):
+        assert found("no recovery is recorded", REFLEX, "driver_fails", "somebody_fences", first=5)
 
 
 def test_a_switch_to_an_instance_that_is_gone_is_detected() -> None:
