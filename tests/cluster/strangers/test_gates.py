@@ -181,12 +181,14 @@ def test_a_monitor_writes_no_other_policy_whatever_its_role_says(
     _may_patch_all_policies(cluster, namespace, compromised_monitor)
 
     def judged() -> bool:
-        return "may change the NetworkPolicy" in refusal(
+        return "may change the gate of its own workload only" in refusal(
             lambda: cluster.patch(others[0], body, user=compromised_monitor)
         )
 
     until(judged, "the additional right to count")
-    assert "may change the NetworkPolicy" in refusal(lambda: cluster.patch(others[1], body, user=compromised_monitor))
+    assert "may change the gate of its own workload only" in refusal(
+        lambda: cluster.patch(others[1], body, user=compromised_monitor)
+    )
 
 
 def test_everybody_else_writes_gates_as_their_roles_allow(
