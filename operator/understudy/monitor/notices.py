@@ -355,6 +355,10 @@ class GateCommitted(Notice):
     seconds: float
 
 
+GATHERING = 0.03
+"""Seconds after a notice until readers are woken. They read those of the next moments too, and do not run while a commit is made."""
+
+
 class Subscription:
     """The notices that one reader has not read yet."""
 
@@ -375,8 +379,9 @@ class Subscription:
         return taken
 
     async def wait(self) -> None:
-        """Return once there is an unread notice."""
+        """Return GATHERING seconds after the first unread notice."""
         await self._added.wait()
+        await asyncio.sleep(GATHERING)
 
 
 class Notices:

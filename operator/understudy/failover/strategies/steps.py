@@ -114,8 +114,6 @@ async def open_for(target: Instance, progress: Progress, context: StrategyContex
     progress.moments["committing"] = began = context.clock()
     # Without an answer of the API server, the gate may have been switched already, and nobody is commanded.
     is_away = context.gate.unanswered_since is not None
-    if not is_away:
-        await context.agents.probe(target, PROBE_SECONDS)
     committing = asyncio.create_task(context.gate.commit(target, progress))
     try:
         # The commit carries the progress, so its request leaves first: it is created in one round of the event loop and
@@ -123,7 +121,7 @@ async def open_for(target: Instance, progress: Progress, context: StrategyContex
         for _ in range(2):
             await asyncio.sleep(0)
         if not is_away:
-            await _probe_others(target, context)
+            await context.agents.probe(target, PROBE_SECONDS)
         context.save(progress)
         await committing
     finally:
@@ -131,7 +129,7 @@ async def open_for(target: Instance, progress: Progress, context: StrategyContex
     progress.moments["committed"] = committed = context.clock()
     if is_away or committed - began >= PROBE_SECONDS:
         await context.agents.probe(target, PROBE_SECONDS)
-        await _probe_others(target, context)
+    await _probe_others(target, context)
 
 
 async def _probe_others(target: Instance, context: StrategyContext) -> None:

@@ -343,7 +343,6 @@ class AgentConnections:
                 _logger.info("%s: %s", instance.name, error)
 
         self._spawn(request())
-        await asyncio.sleep(0)  # so that the request is sent before the commit
 
     def session(self, instance: Instance) -> tuple[int, int]:
         """Return a value that changes with every new connection to the instance's agent."""
