@@ -356,7 +356,8 @@ class GateCommitted(Notice):
 
 
 GATHERING = 0.03
-"""Seconds after a notice until readers are woken. They read those of the next moments too, and do not run while a commit is made."""
+"""Seconds from a notice to its readers. By then, a switch to an executing standby and its reports are complete, and nobody reads while a
+commit is made."""
 
 
 class Subscription:

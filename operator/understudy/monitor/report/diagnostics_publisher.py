@@ -29,9 +29,6 @@ _logger = logging.getLogger(__name__)
 PERIOD = 1.0
 """Seconds between two statuses: the period of diagnostic_updater, and well within the 5 s of the aggregator."""
 
-QUIET = 0.02
-"""Seconds from a change to its publication. By then, a switch to an executing standby and its reports are complete."""
-
 LATEST = 16
 """Maximum number of pending changes that are published one by one. If there are more, the oldest are left out."""
 
@@ -107,7 +104,6 @@ class DiagnosticsPublisher:
                 while not self._changed:
                     await self._stream.wait()
                     self._read()
-                await asyncio.sleep(QUIET)
 
     def _follow(self, settings: MonitorSettings) -> None:
         """Create the publishers that the settings ask for, and close the others."""
