@@ -18,7 +18,8 @@
 - Where nothing hinders the monitor and the mux, they and the gate agree on the instance within seconds.
 
 And in the end: gate, mux and monitor agree on one instance, which drives, GateEnforced is True, each switch that a monitor has committed is
-recorded, unless a user's fence ended its recovery, and with a reflex a standby is admitted if one works.
+recorded, unless a user's fence ended its recovery or its monitor was killed in the next one, and with a reflex a standby is admitted if one
+works.
 """
 
 from __future__ import annotations
@@ -43,6 +44,7 @@ from understudy.kube.client import Object
 from understudy.kube.gates.base import GateRecord
 from understudy.kube.gates.mux_reports import SILENT
 from understudy.monitor.judge.failure_detection import UNREACHED
+from understudy.monitor.report.status_writer import ANSWERED_WITHIN, UNDER_WAY
 from understudy.mux.control import Control
 from understudy.mux.forwarder import DISCOVERY
 
@@ -57,6 +59,9 @@ AGREED = 10.0
 
 COMMITTED = 60.0
 """Seconds within which a switch of the mux's own is committed, if nothing hinders anybody and nobody pauses the robot."""
+
+LISTED = UNDER_WAY + ANSWERED_WITHIN
+"""Seconds after the first commit of a recovery within which the status lists the one before it."""
 
 MOMENT = 1e-6
 
@@ -106,6 +111,10 @@ class MuxInvariants(Invariants):
         """By workload, the recovery that was at the gate when a user last fenced the robot."""
         self._given_up: set[str] = set()
         """Monitors that were killed, and whose recoveries no other one continues."""
+        self._killed: set[str] = set()
+        """Monitors that were killed. What they had sent may be carried out later."""
+        self._latest: dict[str, tuple[str, float]] = {}
+        """By workload, the recovery at the gate, and when it was first there (virtual seconds)."""
         self._recorded: dict[str, set[str]] = defaultdict(set)
         """By workload, the instances that its recoveries name."""
         self._wrong_since: dict[tuple[str, str], float] = {}
@@ -139,10 +148,18 @@ class MuxInvariants(Invariants):
                 self._recorded[new["metadata"]["name"]] |= {*pods, f"from {recovery.get('fromPod', '')}"}
 
     def _recovers(self, workload: str, record: GateRecord, by: str) -> None:
-        """A recovery that another monitor replaces by one of its own is given up, and not recorded."""
+        """A recovery that another monitor replaces by one of its own is given up, and not recorded.
+
+        Nor is one that its own monitor replaces by the next one, if that monitor was killed after it had sent this.
+        """
         recovery, switches = _recovery(record), self._unrecorded[workload]
-        replaced = {pods for pods, (monitor, id_) in switches.items() if recovery not in ("", id_) and by != monitor}
-        self._unrecorded[workload] = {pods: found for pods, found in switches.items() if pods not in replaced}
+        if recovery != self._latest.get(workload, ("", 0.0))[0]:
+            self._latest[workload] = recovery, self._now
+        self._unrecorded[workload] = {
+            pods: (monitor, id_)
+            for pods, (monitor, id_) in switches.items()
+            if recovery in ("", id_) or (by == monitor and by not in self._killed)
+        }
 
     def _note(self, workload: str, record: GateRecord) -> None:
         self._names[workload][record.epoch].add(record.active)
@@ -339,14 +356,21 @@ class MuxInvariants(Invariants):
                 if not {pod, f"from {former}"} & self._recorded[workload]:
                     yield f"the switch of the mux of {workload} to {pod} was committed, and no recovery is recorded"
 
-    def killed(self, monitor: str, workload: str) -> None:
-        """A monitor was killed, and no other one will ask what it had not recorded.
+    def killed(self, monitor: str, workload: str, continued: str) -> None:
+        """A monitor was killed. Its successor continues the recovery ``continued``; empty if no other monitor continues any.
 
-        Another one runs already, or the gate names no recovery that is under way, as after a fence: the journal may be lost too.
+        None does if another monitor runs already, or the gate names no recovery that is under way, as after a fence: the journal may be
+        lost too. The recovery before the one that is continued has ended, and only the status lists it, which may not be written yet.
         """
-        self._given_up.add(monitor)
-        switches = self._unrecorded[workload]
-        self._unrecorded[workload] = {pods: found for pods, found in switches.items() if found[0] != monitor}
+        self._killed.add(monitor)
+        if not continued:
+            self._given_up.add(monitor)
+        is_listed = self._now - self._latest.get(workload, ("", 0.0))[1] >= LISTED
+        self._unrecorded[workload] = {
+            pods: (by, id_)
+            for pods, (by, id_) in self._unrecorded[workload].items()
+            if by != monitor or (continued and (id_ == continued or is_listed))
+        }
 
 
 def _order(text: str) -> dict[str, Any]:

@@ -170,8 +170,10 @@ class Muxed(Simulation):
         super().kill(process)
         gate = gates.record(self.server, workload)
         left = beside(gate.recovery) if gate is not None else None
-        if any(one.workload == workload for one in self.monitors) or left is None or left.result != "Running":
-            self.mux_invariants.killed(process.name, workload)
+        is_continued = left is not None and left.result == "Running"
+        if any(one.workload == workload for one in self.monitors) or not is_continued:
+            left = None
+        self.mux_invariants.killed(process.name, workload, left.id if left is not None else "")
 
     def patches(self) -> Iterator[tuple[Any, str, Any]]:
         yield from super().patches()

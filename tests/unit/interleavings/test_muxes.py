@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import replace
+from typing import Any
 from unittest import mock
 
 import pytest
@@ -18,10 +19,12 @@ from tests.unit.interleavings.comparison import observed_alike
 from tests.unit.interleavings.muxes import SCENES, Muxed
 from tests.unit.interleavings.scenes import Outcome, Scene
 from understudy.api.protocol.mux_messages import Order, Token
+from understudy.failover.progress import Progress
 from understudy.kube.gates.mux_reports import MuxReports
 from understudy.monitor import outcome
 from understudy.monitor.act.objects.gate_control import GateControl
 from understudy.monitor.judge.reflex_takeover import ReflexTakeover
+from understudy.monitor.observe.objects import interrupted_recovery
 from understudy.mux import forwarder
 from understudy.mux.control import Control, ordered
 from understudy.mux.forwarder import Forwarder
@@ -181,6 +184,17 @@ def test_a_switch_that_no_monitor_commits_is_detected() -> None:
 def test_a_committed_switch_of_which_no_recovery_is_recorded_is_detected() -> None:
     with mock.patch.object(outcome.Outcome, "concluded", False):
         assert found("no recovery is recorded", REFLEX, "driver_fails", "somebody_fences", first=5)
+
+
+def test_a_committed_switch_that_the_next_monitor_does_not_continue_is_detected() -> None:
+    interrupted = interrupted_recovery.interrupted
+
+    def forgetful(*arguments: Any, **more: Any) -> Progress | None:
+        recovery = interrupted(*arguments, **more)
+        return recovery if recovery is None or recovery.taken_over is None else None
+
+    with mock.patch.object(interrupted_recovery, "interrupted", forgetful):
+        assert found("no recovery is recorded", REFLEX, "driver_fails", "monitor_dies_at_a_step", first=29)
 
 
 def test_a_switch_to_an_instance_that_is_gone_is_detected() -> None:
