@@ -171,6 +171,8 @@ class AgentConnections:
     """The agents of a workload's instances. Instances of its own controller start by themselves, claimed ones are
     started by their agent."""
 
+    newest_epoch = 0
+
     def __init__(self, application: Application) -> None:
         self._application = application
 

@@ -172,6 +172,7 @@ class Agent:
             cut_off=self.isolation.since,
             unfenced=self.isolation.unfenced,
             further_interfaces=self._interfaces.seen(time.monotonic()),
+            gate=GateEpoch(self._memory.workload_uid, self._memory.epoch),
         )
 
     @property

@@ -140,6 +140,7 @@ class PodAgent:
             configured=configured,
             initialized=memory.brought,
             procedure=self._procedures.doing,
+            gate=GateEpoch(memory.workload_uid, memory.epoch),
         )
 
     @property

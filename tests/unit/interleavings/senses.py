@@ -271,6 +271,8 @@ class Probes(Proof):
 class AgentConnections:
     """The agents of a workload's instances."""
 
+    newest_epoch = 0
+
     def __init__(self, robots: Robots, workload: str, step: Callable[[str], None], *, initializes: bool) -> None:
         """``initializes``: a standby is ready once a procedure has brought it there."""
         self._robots, self._workload, self._step = robots, workload, step

@@ -9,13 +9,15 @@ import pytest
 
 from tests.support.agents import known_to_agent, known_to_monitor, status_of
 from understudy.api.protocol import agent_messages as wire
-from understudy.api.protocol.agent_messages import AgentStatus, OutputCount, ProtocolError
+from understudy.api.protocol.agent_messages import AgentStatus, GateEpoch, OutputCount, ProtocolError
 from understudy.api.protocol.secure_channel import accept
 from understudy.kube.agent_client import AgentGone, AgentLink, AgentRefused
 
 TOKEN = b"token"
 OUTPUTS, INTERFACES = {"/cmd_vel": OutputCount(5, 4.0)}, {"net1": ("192.168.7.2", "fd12::2")}
-STATUS = AgentStatus("Running", True, "", 1.0, 2.0, 3.0, True, OUTPUTS, further_interfaces=INTERFACES)
+STATUS = AgentStatus(
+    "Running", True, "", 1.0, 2.0, 3.0, True, OUTPUTS, further_interfaces=INTERFACES, gate=GateEpoch("u", 3)
+)
 
 
 class Agent:

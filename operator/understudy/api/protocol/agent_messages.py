@@ -186,6 +186,8 @@ class AgentStatus:
     """Why the application could not be held if the pod were cut off. Empty if it could, or if that is not needed."""
     further_interfaces: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """By the name of each network interface besides that of the pod network: its addresses. Agents before version 0.3 report none."""
+    gate: GateEpoch = GateEpoch()
+    """The newest epoch that this agent has received. Agents before version 0.3 report none."""
 
     def to_wire(self) -> dict[str, Any]:
         """Return the message for the wire."""
@@ -205,6 +207,7 @@ class AgentStatus:
             **({"cutOff": self.cut_off} if self.cut_off is not None else {}),
             **({"unfenced": self.unfenced} if self.unfenced else {}),
             **({"furtherInterfaces": dict(self.further_interfaces)} if self.further_interfaces else {}),
+            **({"gate": self.gate.to_wire()} if self.gate.number else {}),
         }
 
     @classmethod
@@ -236,6 +239,7 @@ class AgentStatus:
                     name: tuple(str(address) for address in addresses)
                     for name, addresses in (data.get("furtherInterfaces") or {}).items()
                 },
+                gate=GateEpoch.from_wire(data.get("gate")),
             )
         except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
             raise ProtocolError(f"not a status: {error!r} in {data!r:.200}") from error

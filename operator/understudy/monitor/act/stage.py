@@ -94,9 +94,10 @@ class ActStage:
         await self._cluster.gate.restore_routing()
 
     def raise_epoch(self) -> None:
-        """Have what the gate says carried out at the robot again, if it is not. Returns at once."""
-        if self._cluster.gate.epoch_problem and (self._raising is None or self._raising.done()):
-            self._raising = asyncio.create_task(self._cluster.gate.raise_epoch())
+        """Have what the gate says carried out at the robot and by the agents again, if it is not. Returns at once."""
+        known = self._senses.agents.newest_epoch
+        if self._cluster.gate.epoch_problem(known) and (self._raising is None or self._raising.done()):
+            self._raising = asyncio.create_task(self._cluster.gate.raise_epoch(known))
 
     async def restore_record(self, progress: Progress) -> None:
         """Name a recovery under way beside the gate again, if somebody deleted the gate."""

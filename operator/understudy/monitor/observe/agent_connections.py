@@ -321,6 +321,13 @@ class AgentConnections:
         link = self._links.get(instance.uid)
         return link.status if link else None
 
+    @property
+    def newest_epoch(self) -> int:
+        """The newest epoch of the workload's gate that an agent knows; 0 if none has reported one."""
+        uid = self._epoch().workload_uid
+        found = [link.status.gate for link in self._links.values() if link.status is not None]
+        return max((gate.number for gate in found if uid and gate.workload_uid == uid), default=0)
+
     async def probe(self, instance: Instance, duration: float) -> None:
         """Ask the instance's agent to send gate probes for ``duration`` seconds, at first 1 ms apart. Returns at once; never
         fails. Probes drive nobody, and the reflex needs them, so the API server is not asked."""

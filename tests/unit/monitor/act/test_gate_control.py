@@ -508,10 +508,21 @@ async def test_the_epoch_of_a_gate_that_somebody_deleted_is_raised_over_that_whi
     gate = await open_gate(client, found, tmp_path, FAILED)
     await gate.raise_epoch()
     assert gate.state.epoch == 4
-    monkeypatch.setattr(Packets, "carried_out", lambda self, epoch: 9 if epoch == 4 else 0, raising=False)
+    monkeypatch.setattr(Packets, "carried_out", lambda self, epoch: 6 if epoch <= 6 else 0, raising=False)
     await gate.raise_epoch()
-    await gate.raise_epoch()
-    assert (gate.state.active, gate.state.epoch) == (FAILED.name, 10)
+    assert gate.state.epoch == 5, "admission lets a monitor increase the epoch by one only"
+    for _ in range(4):
+        await gate.raise_epoch()
+    assert (gate.state.active, gate.state.epoch) == (FAILED.name, 7)
+
+
+async def test_the_epoch_of_a_gate_that_somebody_deleted_is_raised_to_that_which_an_agent_knows(
+    client: MemoryClient, found: ClusterView, tmp_path: Path
+) -> None:
+    gate = await open_gate(client, found, tmp_path, FAILED)
+    for _ in range(4):
+        await gate.raise_epoch(6)
+    assert (gate.state.active, gate.state.epoch) == (FAILED.name, 6)
 
 
 @pytest.mark.parametrize(

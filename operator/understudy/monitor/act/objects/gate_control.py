@@ -350,11 +350,11 @@ class GateControl:
         self._report_restored(f"the gate no longer named recovery {id_}: somebody had deleted it")
         return True
 
-    @property
-    def epoch_problem(self) -> str:
-        """Why what the gate says is not carried out at the robot, and would be at a greater epoch; empty if that would not help.
+    def epoch_problem(self, known: int = 0) -> str:
+        """Return why what the gate says is not carried out, and would be at a greater epoch; empty if that would not help.
 
-        An older gate, which somebody deleted, may have come further. And somebody at the robot may have switched by itself to an instance
+        An older gate, which somebody deleted, may have come further: the mux at the robot, or an agent, which knows the epoch ``known``,
+        refuses what is older. And somebody at the robot may have switched by itself to an instance
         that is gone, or of which nothing was let through: it returns to a replaced instance only by an order that knows the switch.
         """
         record = self.record
@@ -368,15 +368,21 @@ class GateControl:
             return f"{switch.to}, to which the mux at the robot had switched by itself, does not drive"
         if epoch := self._probes.carried_out(record.epoch):
             return f"epoch {epoch} had been carried out at the robot, and the gate was of epoch {record.epoch}: somebody had deleted it"
+        if known > record.epoch:
+            return f"an agent knows epoch {known}, and the gate was of epoch {record.epoch}: somebody had deleted it"
         return ""
 
-    async def raise_epoch(self) -> None:
-        """Give the gate a greater epoch if that would help. Whom it names does not change. A failed write is repeated by a later call."""
-        record, problem = self.record, self.epoch_problem
+    async def raise_epoch(self, known: int = 0) -> None:
+        """Give the gate the next epoch if a greater one would help. Whom it names does not change.
+
+        A later call repeats a failed write, and goes on if that epoch is not great enough: the admission policy lets a monitor increase it
+        by one only. If the gate of the newest epoch still exists, and only the watch is late, the API server refuses the write.
+        """
+        record, problem = self.record, self.epoch_problem(known)
         if record is None or not problem:
             return
         self._probes.deciding()
-        epoch = max(self._probes.carried_out(record.epoch), record.epoch) + 1
+        epoch = record.epoch + 1
         try:
             await self._write_once(self._kind.raising(over=record, epoch=epoch))
         except FAILURES as error:
