@@ -65,8 +65,8 @@ class Attempt:
 
     @property
     def may_be_offered(self) -> bool:
-        """Whether the instance may offer it to a proxy that does not know the goal, as one that was withdrawn."""
-        return self.at is AttemptState.ENDED and (self.withdrawn or self.status == CANCELED)
+        """Whether the instance may offer it to a proxy that does not know the goal, as one that was withdrawn or aborted."""
+        return self.at is AttemptState.ENDED and (self.withdrawn or self.status in (CANCELED, ABORTED))
 
 
 @dataclass(frozen=True)

@@ -355,7 +355,8 @@ class GoalLedger:
     def orders(self, uid: str) -> list[Order]:
         """Return the goals that an instance must have, in the order in which clients sent them.
 
-        Of a goal that was withdrawn from the instance, the end is ordered too, as a cancel: the instance ceases to offer it to proxies.
+        Of a goal that was withdrawn from the instance, or that the instance aborted, the end is ordered too, as a cancel: the instance
+        ceases to offer it to proxies.
         """
         found = []
         for goal in self._in_order():

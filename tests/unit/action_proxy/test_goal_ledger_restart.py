@@ -181,6 +181,18 @@ class TestMissingJournal:
         world.tell()
         assert world.instances["a"].withdrawn == {goal}
 
+    def test_an_instance_learns_that_a_goal_that_it_aborted_has_ended_for_its_client(self, world: World) -> None:
+        """A proxy without a journal would send it to the next instance (seed 2301399)."""
+        goal = world.ask()
+        world.want(goal)
+        world.end("a", goal, ABORTED)
+        assert world.ledger.orders("a") == [], "its instance may be about to be replaced"
+        world.now += 60
+        world.go()
+        assert world.results == {goal: (ABORTED, "a")}
+        (order,) = world.ledger.orders("a")
+        assert (order.cancel, order.withdrawn) == (True, False)
+
     def test_a_goal_that_was_aborted_shortly_before_its_instance_is_replaced_continues(self, world: World) -> None:
         """The application of an instance that is being deleted aborts its goals, before the next proxy connects."""
         first, second = world.ask(), world.ask()

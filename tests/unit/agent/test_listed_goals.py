@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from tests.unit.action_proxy.conftest import ACTION, SUCCEEDED, TYPE, dds, eventually, start
+from understudy.action_proxy.client_goals import ABORTED
 from understudy.agent.control_channel import Peer
 from understudy.agent.restoration import task_goals
 from understudy.agent.restoration.task_goals import TaskGoals
@@ -67,6 +68,18 @@ async def test_a_withdrawn_goal_that_has_ended_for_its_client_is_listed_as_one_t
     await goals.inner.cancel({"goal": goal}, PROXY)
     (listed,) = (await goals.inner.list({}, PROXY))["goals"]
     assert (listed["withdrawn"], bool(listed["data"])) == (False, False)
+
+
+async def test_an_aborted_goal_is_listed_for_sending_it_again_until_its_end_counts_for_its_client(
+    goals: Goals, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(task_goals, "_CANCELED", ABORTED)
+    goal = await goals.order(b"goal")
+    await goals.inner.cancel({"goal": goal}, PROXY)
+    for has_data in (True, False):
+        (listed,) = (await goals.inner.list({}, PROXY))["goals"]
+        assert (listed["status"], bool(listed["data"])) == (ABORTED, has_data)
+        await goals.inner.cancel({"goal": goal}, PROXY)
 
 
 async def test_the_list_contains_as_many_goals_as_fit_into_a_message_the_unfinished_ones_first(goals: Goals) -> None:

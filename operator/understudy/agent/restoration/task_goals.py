@@ -78,6 +78,8 @@ class _Record:
     result: bytes = b""
     withdrawn: bool = False
     """Whether the proxy cancelled it without a client's request."""
+    concluded: bool = False
+    """Whether the proxy has cancelled it after its end: the end counts for its client."""
     ended: float = 0.0
     """Monotonic seconds."""
     task: asyncio.Task[None] | None = None
@@ -137,6 +139,7 @@ class TaskGoals:
         if record is None or record.state not in _OPEN:
             if record is not None:
                 record.withdrawn &= body.get("withdrawn") is True
+                record.concluded |= body.get("withdrawn") is not True
                 self._repeat_end(record)
             return {"known": record is not None and record.state == "ended", "accepted": False}
         record.withdrawn = body.get("withdrawn") is True
@@ -161,7 +164,7 @@ class TaskGoals:
         for record in sorted(self._records.values(), key=lambda one: (one.state not in _OPEN, -one.ended)):
             # An aborted or withdrawn goal may have to be sent again.
             is_needed = record.state in _OPEN or (
-                record.state == "ended" and (record.status == _ABORTED or record.withdrawn)
+                record.state == "ended" and not record.concluded and (record.status == _ABORTED or record.withdrawn)
             )
             goal = {
                 **record.to_wire(),
