@@ -48,6 +48,8 @@ class Goal:
     """Whether an instance has ended it for a newer one."""
     moved: bool = False
     """Whether the pod of its proxy has ended, and the journal with it, while it was open."""
+    ungated: bool = False
+    """Whether somebody deleted the gate, and with it the record of who drove, while it was open."""
     excused: bool = False
     """Whether two proxies served together while it was open."""
 
@@ -136,12 +138,14 @@ class Clients:
         what = f"{goal.id[:6]} of {goal.workload}"
         if goal.end is not None:
             return
+        self.look([goal.workload])
         goal.end = status
         self.counts["ended"] += 1
         self.note(f"client of {goal.workload}: {goal.id[:6]} {_NAMES[status]}")
         if goal.excused:
             return
-        if status == UNKNOWN and not (goal.moved and (self.behind(goal.workload) or self._is_forgotten(goal))):
+        unknown = self.behind(goal.workload) or self._is_forgotten(goal) or goal.ungated
+        if status == UNKNOWN and not (goal.moved and unknown):
             self.broken(f"goal {what} was accepted, and is lost")
         elif status == SUCCEEDED and not goal.completed:
             self.broken(f"goal {what} succeeded, and no instance has reached it")
@@ -154,6 +158,11 @@ class Clients:
         """The pod of a workload's proxy ends."""
         for goal in self.goals.values():
             goal.moved |= goal.workload == workload and goal.end is None
+
+    def gate_deleted(self, workload: str) -> None:
+        """Somebody deletes the gate of a workload."""
+        for goal in self.goals.values():
+            goal.ungated |= goal.workload == workload and goal.end is None
 
     def _is_forgotten(self, goal: Goal) -> bool:
         """Whether no instance is left that has a goal, with an agent that knows it: one that was restarted does not."""
@@ -176,6 +185,7 @@ class Clients:
         if by.keys() - {found.uid}:
             self.counts["resumed"] += 1
         by[found.uid] = self.robots.agents_of.get(found.uid), found.restarts
+        self.look([known.workload])
         if known.excused:
             return
         if known.end is not None:

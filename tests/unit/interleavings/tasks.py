@@ -23,6 +23,7 @@ from tests.unit.interleavings.task_clients import Clients
 from tests.unit.interleavings.task_proxies import Answer, Endpoints, Pod
 from tests.unit.interleavings.troubles import TROUBLES
 from understudy.agent.restoration.task_goals import TaskGoals
+from understudy.api.protocol.agent_messages import GateEpoch
 from understudy.failover.progress import PodIdentity
 from understudy.kube.client import Object
 from understudy.monitor.act.action_proxy_link import ActionProxyLink
@@ -65,7 +66,7 @@ class Tasked(Simulation):
     def __init__(self, *arguments: Any, **more: Any) -> None:
         self._agents_goals: dict[str, Application] = {}
         super().__init__(*arguments, **more)
-        network = self.network
+        network, self.robots.commanded = self.network, self._commanded
         self.endpoints = Endpoints(network.tcp, self._is_reached, lambda answer: self._received(answer))
         self.clients = Clients(
             self.robots,
@@ -90,6 +91,19 @@ class Tasked(Simulation):
         if (application := self._agents_goals.get(found.uid)) is None:
             application = self._agents_goals[found.uid] = Application(self.robots, found, self)
         return PodGoals(application, publish)
+
+    def _something_is_deleted(self) -> None:
+        before = set(self.server.items[self.gate_plural])
+        super()._something_is_deleted()
+        for _, gate in before - set(self.server.items[self.gate_plural]):
+            self.clients.gate_deleted(gate.removesuffix("-gate"))
+
+    def _commanded(self, found: Running, op: str, epoch: GateEpoch, by: str) -> None:
+        """An agent carries out a command. While no monitor knows of the last switch, neither do the proxy and the agent: what a client
+        still reaches the instance that drives."""
+        unknown = all(m.is_behind for m in self.monitors if m.workload == found.robot)
+        if not (op in ("goal", "cancel") and by.startswith("action-proxy") and unknown):
+            self.invariants.commands.carried_out(found, op, epoch, by)
 
     def begun(self, found: Running, goal: str) -> None:
         """An instance begins to work on a goal."""
