@@ -54,6 +54,8 @@ class Invariants:
         """By node, until when an operator may take it for one that is to be emptied."""
         self._gone: list[tuple[float, Object]] = []
         """When pods of the workloads' own controllers have gone: an operator may still see them."""
+        self._deleted_templates: dict[tuple[str, str], str | None] = {}
+        """By namespace and name, the last template of each ReplicaSet that was deleted, as its hash."""
         self.failed: dict[str, float] = {}
         """Pods that failed for good while they were in control, and when."""
         self._tampered: dict[str, dict[str, str]] = {}
@@ -76,6 +78,9 @@ class Invariants:
 
     def see(self, plural: str, old: Object | None, new: Object | None, by: str) -> None:
         """A write was made."""
+        if plural == "replicasets" and old is not None and new is None:
+            metadata = old["metadata"]
+            self._deleted_templates[metadata["namespace"], metadata["name"]] = _template(old)
         if plural == "pods":
             self._restored(new)
             if by != "somebody":
@@ -240,7 +245,7 @@ class Invariants:
         elif workload is not None and (
             names.REPLACES in (pod["metadata"].get("annotations") or {})
             or any(
-                self._is_outdated(other) or (self._is_of(workload, other) and not self._stays(other))
+                self._is_outdated(other, deleted=True) or (self._is_of(workload, other) and not self._stays(other))
                 for other in [*self._server.items["pods"].values(), *self._gone_of_late()]
             )
         ):
@@ -369,15 +374,17 @@ class Invariants:
         """Whether no operator may take a pod's node for one that is to be emptied."""
         return self._emptied.get(leaving_nodes.of(pod), 0.0) < self._robots.now
 
-    def _is_outdated(self, pod: Object) -> bool:
-        """Whether a pod of a workload's own controller has another template than that one has by now."""
+    def _is_outdated(self, pod: Object, *, deleted: bool = False) -> bool:
+        """Whether a pod of a workload's own controller has another template than that one has by now. With ``deleted``, or had at last."""
         owner = controller_of(pod)
         if owner is None or owner["kind"] != "ReplicaSet":
             return False
-        live = self._server.get("replicasets", (pod["metadata"]["namespace"], owner["name"]))
-        return live is not None and _labels(pod).get(names.TEMPLATE_HASH) != _labels(live["spec"]["template"]).get(
-            names.TEMPLATE_HASH
-        )
+        place = pod["metadata"]["namespace"], owner["name"]
+        live = self._server.get("replicasets", place)
+        if live is None and not (deleted and place in self._deleted_templates):
+            return False
+        last = _template(live) if live is not None else self._deleted_templates[place]
+        return _labels(pod).get(names.TEMPLATE_HASH) != last
 
     def _waiting(self, made: Sequence[Object]) -> list[Object]:
         """The pods that wait: those that a pool made, and those that its workloads' own controllers made since one of it drives."""
@@ -445,6 +452,10 @@ class Invariants:
 def _name(item: Object) -> str:
     found: str = item["metadata"]["name"]
     return found
+
+
+def _template(replicaset: Object) -> str | None:
+    return _labels(replicaset["spec"]["template"]).get(names.TEMPLATE_HASH)
 
 
 def _labels(item: Object) -> dict[str, str]:
