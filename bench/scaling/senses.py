@@ -114,6 +114,10 @@ class HealthObserver:
     def unreached(self, pod: str) -> str:
         return ""
 
+    @property
+    def drove_on_board(self) -> bool:
+        return False
+
     def arrivals(self, topic: str, pod: str) -> Sequence[float]:
         return ()
 

@@ -189,7 +189,7 @@ class Invariants:
             return  # the gate closes for a leak, whoever is healthy
         if self._robots.clocks_differ:
             return
-        well_since, network = max(found.well_since, found.through_since), self._robots.network
+        well_since, network = self._heard_since(found), self._robots.network
         pod = self._server.get("pods", found.place)
         is_well = (
             found.through
@@ -201,6 +201,10 @@ class Invariants:
         lasts = self._robots.now - well_since
         if is_well and lasts >= STALE and not network.carries_late and recovery.switchover is None:
             self._broken(f"{gate} fences {found.name} for a failure, and it is healthy again for {lasts:.1f} s")
+
+    def _heard_since(self, found: Running) -> float:
+        """Since when every monitor can know that an instance is healthy (Unix seconds)."""
+        return max(found.well_since, found.through_since)
 
     def _named(self, record: GateRecord) -> tuple[str, ...]:
         """The instances that a gate names."""

@@ -164,6 +164,9 @@ class MuxInvariants(Invariants):
     def _note(self, workload: str, record: GateRecord) -> None:
         self._names[workload][record.epoch].add(record.active)
 
+    def _heard_since(self, found: Running) -> float:
+        return max(super()._heard_since(found), self.mine.joined_at)
+
     # -- what muxes do ----------------------------------------------------------------------------------------------
 
     def loaded(self, mux: Mux, control: Control, *, is_journal_lost: bool) -> None:
@@ -178,6 +181,7 @@ class MuxInvariants(Invariants):
             self._broken(f"{mux.process} knows {_text(control.token)}, and had forwarded {_text(received.token)}")
         received.begun, received.since = mux.arrivals, self._now
         received.newest = (control.token.epoch, control.source)
+        received.may_stand_in = control.standing.on_board is not None
 
     def received(self, mux: Mux, text: str) -> None:
         """An order was carried out or refused: whom a newer one than all before fences is not forwarded any more.
@@ -236,8 +240,8 @@ class MuxInvariants(Invariants):
         self.counts["stood in" if after.on_board else "switched"] += 1
         deadline = self._after if after.on_board else self._deadline
         # An instance may stop before it was discovered. That takes longer than a reflex, and less than the silence for one on board. One
-        # that was silent for as long as discovery may take may send again before it is discovered.
-        is_undiscovered = before.source not in mux.last_known and now - mux.began >= DISCOVERY
+        # that was silent for as long as discovery may take may send again before it, or its new process, is discovered.
+        is_undiscovered = now - mux.last_known.get(before.source, mux.began) >= DISCOVERY
         last = mux.last_known if after.on_board or is_undiscovered else mux.last
         silent = now - max(last.get(before.source, received.since), received.since)
         heard = now - mux.last.get(after.source, 0.0)
@@ -314,8 +318,12 @@ class MuxInvariants(Invariants):
         self._lasts((workload, "agreement"), differs and not is_own, AGREED, 0.0, words)
 
     def _excuse_fenced(self, workload: str, monitors: Sequence[MuxMonitor]) -> None:
-        """A recovery that a user's fence ends is not recorded, if its monitor had not ended it and reports that it is superseded."""
+        """A recovery that a user's fence ends is not recorded, if its monitor had not ended it and reports that it is superseded.
+
+        Nor is it if its monitor was killed: the successor finds the fence before or while it continues the recovery.
+        """
         superseded = {one.process.name for one in monitors if one.condition("Recovering")[1] == "Superseded"}
+        superseded |= self._killed
         ended, switches = self._ended_by_fence.get(workload, ""), self._unrecorded[workload]
         self._unrecorded[workload] = {
             pods: (monitor, id_)

@@ -31,6 +31,8 @@ class MuxRobots(Robots):
     """UIDs of instances that do not reach the mux."""
     unheard: set[str] = field(default_factory=set)
     """UIDs of instances that no monitor hears."""
+    joined_at: float = -1.0
+    """When monitors that had heard no pod last heard all again (Unix seconds)."""
     listeners: dict[str, list[Listener]] = field(default_factory=dict)
     """The monitors', by workload."""
     _emitting: set[str] = field(default_factory=set)

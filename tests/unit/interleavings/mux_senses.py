@@ -82,6 +82,7 @@ class MuxSight(HealthObserver):
         robots.listen(workload, self)
 
     unreached = observer.HealthObserver.unreached
+    drove_on_board = observer.HealthObserver.drove_on_board
 
     @property
     def _forwarding(self) -> MuxReports:

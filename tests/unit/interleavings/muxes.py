@@ -305,6 +305,7 @@ class Muxed(Simulation):
 
     def _hear(self, processes: Sequence[Process]) -> None:
         self.network.set_apart(processes, False)
+        self.mine.joined_at = self.robots.now
         self.robots.reroute()
 
     def _monitor_reaches_no_pod(self) -> None:
@@ -397,6 +398,7 @@ class Muxed(Simulation):
         self.mine.unheard.clear()
         self._stopped.clear()
         super()._end_of_trouble()
+        self.mine.joined_at = self.robots.now
         self.robots.reroute()
 
 

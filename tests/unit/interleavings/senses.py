@@ -81,6 +81,11 @@ class HealthObserver:
         """No topic: whether the robot receives an instance is not known."""
         return ""
 
+    @property
+    def drove_on_board(self) -> bool:
+        """False: there is no instance on board."""
+        return False
+
     def command_safely(self) -> None:
         """This monitor sends its robot a safe command."""
         self._robots.commanded_safely(self._workload)

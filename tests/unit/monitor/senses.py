@@ -88,6 +88,8 @@ class GivenObserver(HealthObserver):
         """The processes from which outputs of each pod were received."""
         self.twins: set[str] = set()
         """Pods that cannot be distinguished from others."""
+        self.is_on_board = False
+        """Whether an instance on board drives."""
         self.missed = ""
         """A topic that a mux at the robot does not hear."""
         self.undiscovered: set[str] = set()
@@ -111,6 +113,10 @@ class GivenObserver(HealthObserver):
 
     def unreached(self, pod: str) -> str:
         return self.missed
+
+    @property
+    def drove_on_board(self) -> bool:
+        return self.is_on_board
 
     def drain(self, instances: Sequence[Instance], active: str, pinned: Sequence[PinnedPod] = ()) -> None:
         return

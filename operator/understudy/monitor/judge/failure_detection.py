@@ -105,7 +105,8 @@ class FailureDetector:
         A pod on a node that Kubernetes has lost stays active, regardless of its object: its outputs show whether it runs.
         A pod that is being deleted still has its labels, so the gate can fence it at once. A pod whose object is gone
         (deleted by force) has no labels, and its process may continue for a moment: the gate cannot fence it, so the
-        switch waits until it is silent.
+        switch waits until it is silent. It does not wait while an instance on board drives: control never returns to a pod without an
+        object, since nobody can ask its agent whether it is ready.
         """
         name = self._gate.state.active
         if active is not None and not active.leaving and active.running:
@@ -113,6 +114,7 @@ class FailureDetector:
         onset = self.onset(name, now)
         if (
             active is None
+            and not self._observer.drove_on_board
             and (silent := self._observer.last_from(name)) is not None
             and now - silent < DEAD_AFTER
             # In a StatefulSet, a successor has the same name: once it has an address, the messages are the successor's.

@@ -86,6 +86,17 @@ def test_outputs_of_a_successor_with_the_same_name_do_not_keep_a_lost_pod_alive(
     assert (found[0] is not None) == lost
 
 
+def test_a_pod_without_an_object_is_lost_although_it_sends_if_an_instance_on_board_drives() -> None:
+    """Control would never return from there, since its agent cannot be asked (seed 3301492)."""
+    judging = detector(last_output=time.time(), observer=(observer := GivenObserver()))
+    observer.received_at = {"w-1": time.time()}
+    assert (found := judging.lost(None, time.time())) is not None
+    assert found[0] is None
+    observer.is_on_board = True
+    assert (found := judging.lost(None, time.time())) is not None
+    assert found[0] is not None
+
+
 def test_a_clock_that_is_set_back_does_not_delay_the_detection(monkeypatch: pytest.MonkeyPatch) -> None:
     # The times of what was received are moved with the clock (ros/observe/topic_watch.py); the tree's grace is 30 s.
     monitoring = Monitoring.model_validate({"yaml": {"topic": {"name": "/cmd_vel", "gap": "500ms"}}})

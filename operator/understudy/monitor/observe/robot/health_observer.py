@@ -424,6 +424,11 @@ class HealthObserver:
                 return topic
         return ""
 
+    @property
+    def drove_on_board(self) -> bool:
+        """Whether an instance on board drives the robot, or did a moment ago: the active instance could not reach it."""
+        return self._forwarding is not None and self._forwarding.drove_on_board
+
     def arrivals(self, topic: str, pod: str) -> Sequence[float]:
         """Return when a topic was recently received from a pod, in Unix seconds."""
         return self._watching.arrivals(topic, pod)
