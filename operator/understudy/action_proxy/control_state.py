@@ -57,7 +57,8 @@ class ControlState:
     on_board: bool = False
     """Whether an instance on board drives, or did a moment ago: the active instance could not reach the robot."""
     is_confirmed: bool = True
-    """Whether the API server answers the monitor. If not, another monitor may have switched, and no goal is withdrawn from an instance."""
+    """Whether the API server answers the monitor, and has confirmed since its last outage that their pod exists. If not, another monitor
+    may have switched: no goal is withdrawn from an instance, and none that an instance had is given to another one."""
     pod_deleted: bool = False
     """Whether the pod of the monitor and this proxy was deleted, so that others have replaced them."""
 

@@ -590,7 +590,14 @@ class GoalLedger:
                 self._mirror(goal, uid, now)
 
     def _may_move(self, goal: Goal, rule: TaskRule) -> bool:
-        """Whether a goal that no instance works on may be given to the active one."""
+        """Whether a goal that no instance works on may be given to the active one.
+
+        After an outage, the monitor may learn of a new instance before it learns that their pod was replaced: the proxy that replaced
+        this one may have answered the client meanwhile.
+        """
+        assert self.situation is not None
+        if not self.situation.is_confirmed and goal.attempts and self._active not in goal.attempts:
+            return False
         if rule.on_failover != "Tree" or goal.phase is Phase.PENDING or not goal.attempts:
             return True
         return self._settled or self._active in self._invited

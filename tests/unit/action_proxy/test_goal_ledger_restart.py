@@ -181,6 +181,19 @@ class TestMissingJournal:
         world.tell()
         assert world.instances["a"].withdrawn == {goal}
 
+    def test_a_goal_goes_to_no_other_instance_before_the_proxys_pod_is_confirmed(self, world: World) -> None:
+        """The pod may have been replaced during an outage, and its successor may have answered the client (seed 2301580)."""
+        goal = world.ask()
+        world.want(goal)
+        world.is_confirmed = False
+        world.switch("b")
+        assert world.instances["b"].starts == []
+        asked = world.ask()
+        assert world.instances["b"].starts == [asked], "no other proxy has this one"
+        world.is_confirmed = True
+        world.tell()
+        assert set(world.instances["b"].starts) == {asked, goal}
+
     def test_an_instance_learns_that_a_goal_that_it_aborted_has_ended_for_its_client(self, world: World) -> None:
         """A proxy without a journal would send it to the next instance (seed 2301399)."""
         goal = world.ask()

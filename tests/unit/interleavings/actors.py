@@ -88,8 +88,12 @@ class Fuse(CrashPoints):
             return
         self.left -= 1
         if self.left < 0:
-            self._kill(self._process)
-            raise Killed
+            self.burn()
+
+    def burn(self) -> None:
+        """Kill the monitor."""
+        self._kill(self._process)
+        raise Killed
 
 
 class Monitor:

@@ -37,6 +37,7 @@ from tests.unit.interleavings.invariants import Invariants
 from tests.unit.interleavings.mux_processes import Mux, Sample
 from tests.unit.interleavings.mux_robots import MuxRobots
 from tests.unit.interleavings.mux_senses import MuxMonitor
+from tests.unit.interleavings.pods import Running
 from tests.unit.interleavings.scenes import ON_BOARD
 from understudy.api.protocol.mux_messages import Token
 from understudy.failover.progress import beside

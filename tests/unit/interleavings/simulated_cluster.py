@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.unit.interleavings.actors import LEASE, NAMESPACE, Monitor, OperatorProcess
-from tests.unit.interleavings.apiserver import EPOCH, ApiServer
+from tests.unit.interleavings.apiserver import EPOCH, ApiServer, stamp
 from tests.unit.interleavings.invariants import Invariants
 from tests.unit.interleavings.network import Network
 from tests.unit.interleavings.pauses import Pauses
@@ -165,7 +165,13 @@ class SimulatedCluster:
         self._follow(process, operator.run())
 
     def start_monitor(self, workload: str, journal: str) -> None:
-        """A new monitor; the journal is of the pod in which it runs."""
+        """A new monitor; the journal is of the pod in which it runs. The pod that it replaces is being deleted."""
+        for other in self.monitors:
+            if (
+                other.workload == workload
+                and (old := self.server.unlisted.get((NAMESPACE, other.pod.name))) is not None
+            ):
+                old["metadata"]["deletionTimestamp"] = stamp(self.robots.now)
         process = self.loop.process(f"monitor-{next(self._incarnations)} of {workload}")
         file = self._folder / f"{self.outcome.seed}-{workload}-{journal}.json"
         monitor = self._make_monitor(process, workload, file, self._create_monitor(workload, journal))
@@ -213,7 +219,8 @@ class SimulatedCluster:
             self.delete_monitor(monitor.pod.name)
             self._monitor_pod_ended(monitor.pod.name)
         else:
-            exists = (NAMESPACE, monitor.pod.name) in self.server.unlisted
+            pod = self.server.unlisted.get((NAMESPACE, monitor.pod.name))
+            exists = pod is not None and "deletionTimestamp" not in pod["metadata"]
             moved = self.choices.random() < 0.25 or not exists
             journal = f"other-{next(self._ids)}" if moved else self._journals[process.name]
             if moved:

@@ -28,6 +28,8 @@ from understudy.failover.progress import PodIdentity
 from understudy.kube.client import Object
 from understudy.monitor.act.action_proxy_link import ActionProxyLink
 from understudy.monitor.loop import MonitorLoop, Parts
+from understudy.monitor.observe.objects.cluster_view import ClusterView
+from understudy.monitor.observe.objects.own_pod import PodDeleted, end_if_deleted
 
 FIRST = 2_000_000
 """From this seed on runs are of tasks."""
@@ -56,6 +58,13 @@ class TaskMonitor(Monitor):
             self.socket, cluster.view, cluster.pods, cluster.gate, parts.senses.agents, parts.notices
         )
         group.create_task(link.run())
+        group.create_task(self._end_if_deleted(cluster.view))
+
+    async def _end_if_deleted(self, view: ClusterView) -> None:
+        try:
+            await end_if_deleted(view)
+        except PodDeleted:
+            self.fuse.burn()
 
 
 class Tasked(Simulation):

@@ -23,6 +23,7 @@ from understudy.failover.interfaces import Gate, GateState, Instance
 from understudy.monitor.act.objects.pod_control import PodControl
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.agent_connections import AgentConnections
+from understudy.monitor.observe.objects import own_pod
 from understudy.monitor.observe.objects.cluster_view import ClusterView
 
 _logger = logging.getLogger(__name__)
@@ -161,7 +162,7 @@ class ActionProxyLink:
             "epoch": state.epoch,
             "active": state.active_uid,
             "on_board": self._drove_on_board(),
-            "is_confirmed": self._gate.unanswered_since is None,
+            "is_confirmed": self._gate.unanswered_since is None and own_pod.is_confirmed(self._view),
             "settled": settled(self._notices.status.health, self._fleet.find(state.active_uid)),
             "rules": [
                 {

@@ -18,6 +18,7 @@ from understudy.api.kinds.robot_workload import Health, RobotWorkloadSpec
 from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
 from understudy.api.protocol.secure_channel import MonitorSecret
 from understudy.failover.interfaces import GateState, Instance
+from understudy.failover.progress import PodIdentity
 from understudy.monitor.act.action_proxy_link import CONDITION, ActionProxyLink, executing, judged, reachable, settled
 
 GATE = GateState(epoch=3, active="w-1", active_uid="1")
@@ -47,6 +48,7 @@ class View:
     spec: RobotWorkloadSpec | None
     settings: WorkloadSettings
     pod_deleted: bool = False
+    me: PodIdentity | None = None
     workload: str = "w"
     gates: Source = field(default_factory=Source)
     pods: Source = field(default_factory=Source)

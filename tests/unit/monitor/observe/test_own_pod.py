@@ -11,7 +11,12 @@ from understudy.failover.progress import PodIdentity
 from understudy.kube.client import PODS, Object
 from understudy.monitor.observe.objects import own_pod
 from understudy.monitor.observe.objects.cluster_view import ClusterView
-from understudy.monitor.observe.objects.own_pod import PodDeleted, end_at_start_if_deleted, end_if_deleted
+from understudy.monitor.observe.objects.own_pod import (
+    PodDeleted,
+    end_at_start_if_deleted,
+    end_if_deleted,
+    is_confirmed,
+)
 from understudy.monitor.observe.wakeups import Wakeups
 
 ME = PodIdentity(name="w-monitor-1", uid="uid-1")
@@ -62,10 +67,21 @@ async def test_a_monitor_whose_pod_exists_goes_on_after_each_outage(view: Cluste
         await outage(view)
         await asyncio.sleep(0.05)
         assert not going_on.done()
+        assert is_confirmed(view)
     put(view, deletionTimestamp="2026-01-01T00:00:30Z")
     await asyncio.sleep(0.05)
     assert not going_on.done(), "its kubelet ends it: there was no outage"
     going_on.cancel()
+
+
+async def test_a_pod_is_not_confirmed_before_the_api_server_was_asked_for_it_after_an_outage(view: ClusterView) -> None:
+    put(view)
+    confirming = asyncio.create_task(end_if_deleted(view))
+    await outage(view)
+    assert not is_confirmed(view)
+    await asyncio.sleep(0.05)
+    assert is_confirmed(view)
+    confirming.cancel()
 
 
 async def test_a_monitor_that_is_started_again_in_a_deleted_pod_ends_before_it_does_anything(view: ClusterView) -> None:

@@ -66,6 +66,8 @@ class ClusterView:
         self.client, self.namespace, self.workload, self.me = client, namespace, workload, me
         self.pod_deleted = False
         """Whether this monitor's pod was deleted while its process lives on (own_pod.py)."""
+        self.pod_confirmed = 0
+        """The number of the API server's return after which it was last asked for this monitor's pod, and the pod was not deleted."""
         self._wakeups = wakeups
         self.gate_kind = gate
 

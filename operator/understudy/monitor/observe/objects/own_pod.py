@@ -36,6 +36,12 @@ async def end_if_deleted(view: ClusterView) -> None:
             view.pod_deleted = True
             await asyncio.sleep(REPORTED_WITHIN)
             raise _ended(view)
+        view.pod_confirmed = returns
+
+
+def is_confirmed(view: ClusterView) -> bool:
+    """Return whether the monitor's pod exists, as far as the API server was asked since it last returned. True if the pod is not known."""
+    return view.me is None or view.pod_confirmed >= view.client.contact.returns
 
 
 async def end_at_start_if_deleted(view: ClusterView) -> None:
