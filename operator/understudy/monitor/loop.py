@@ -344,6 +344,7 @@ class MonitorLoop:
         self.judge.sole_driver.update(self._pods.of_workload(), now)
         if self.decide.limits.pauses.on is None:
             self.act.leaks.respond_during(self._senses.current, now)
+            self.act.raise_epoch()
             await self.act.restore_routing()
             if (progress := self._senses.current.progress) is not None:
                 await self.act.restore_record(progress)

@@ -166,7 +166,8 @@ class MuxInvariants(Invariants):
         self._names[workload][record.epoch].add(record.active)
 
     def _heard_since(self, found: Running) -> float:
-        return max(super()._heard_since(found), self.mine.joined_at)
+        joined_at = self._robots.now if self._robots.network.apart else self.mine.joined_at
+        return max(super()._heard_since(found), joined_at)
 
     # -- what muxes do ----------------------------------------------------------------------------------------------
 
@@ -241,8 +242,8 @@ class MuxInvariants(Invariants):
         self.counts["stood in" if after.on_board else "switched"] += 1
         deadline = self._after if after.on_board else self._deadline
         # An instance may stop before it was discovered. That takes longer than a reflex, and less than the silence for one on board. One
-        # that was silent for as long as discovery may take may send again before it, or its new process, is discovered.
-        is_undiscovered = now - mux.last_known.get(before.source, mux.began) >= DISCOVERY
+        # that was silent for as long as discovery may take may send again before it is discovered, and one with a new process at any time.
+        is_undiscovered = before.source in mux.last_known or now - mux.began >= DISCOVERY
         last = mux.last_known if after.on_board or is_undiscovered else mux.last
         silent = now - max(last.get(before.source, received.since), received.since)
         heard = now - mux.last.get(after.source, 0.0)

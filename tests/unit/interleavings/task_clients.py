@@ -28,6 +28,9 @@ CANCELS = 0.15
 TOGETHER = 5.0
 """Seconds after two proxies of a workload served together in which a client may receive the answers of both."""
 
+ORDERED = 0.5
+"""Seconds for which the order of a goal may be on its way to an instance that another one has ended, or wait for its application."""
+
 _NAMES = {UNKNOWN: "unknown", SUCCEEDED: "succeeded", CANCELED: "cancelled", ABORTED: "aborted"}
 
 
@@ -42,6 +45,7 @@ class Goal:
     accepted: bool | None = None
     cancelled: bool = False
     end: int | None = None
+    ended_at: float = 0.0
     completed: bool = False
     """Whether an instance has reached it."""
     replaced: bool = False
@@ -79,6 +83,8 @@ class Clients:
     _requests: dict[RequestId, Goal] = field(default_factory=dict)
     _numbers: Iterator[int] = field(default_factory=lambda: itertools.count(1))
     _together: dict[str, float] = field(default_factory=dict)
+    _late: set[tuple[str, str]] = field(default_factory=set)
+    """Goals that had ended for their clients when an instance, given by its UID, began to work on them."""
 
     # -- what clients do --------------------------------------------------------------------------------------------
 
@@ -139,7 +145,7 @@ class Clients:
         if goal.end is not None:
             return
         self.look([goal.workload])
-        goal.end = status
+        goal.end, goal.ended_at = status, self.robots.loop.time()
         self.counts["ended"] += 1
         self.note(f"client of {goal.workload}: {goal.id[:6]} {_NAMES[status]}")
         if goal.excused:
@@ -189,13 +195,19 @@ class Clients:
         if known.excused:
             return
         if known.end is not None:
-            self.broken(f"{found.name} begins to work on {goal[:6]} of {known.workload}, which had {_NAMES[known.end]}")
+            self._late.add((goal, found.uid))
+            if self.robots.loop.time() - known.ended_at > ORDERED:
+                self.broken(
+                    f"{found.name} begins to work on {goal[:6]} of {known.workload}, which had {_NAMES[known.end]}"
+                )
         if known.accepted is False:
             self.broken(f"{found.name} begins to work on {goal[:6]} of {known.workload}, which was rejected")
 
     def completed(self, found: Running, goal: str) -> None:
         """An instance has reached a goal."""
         self.goals[goal].completed = True
+        if (goal, found.uid) in self._late:
+            self.broken(f"{found.name} completes {goal[:6]}, which had ended when it began")
 
     def replaced(self, found: Running, goal: str) -> None:
         """An instance has ended a goal for a newer one."""

@@ -525,6 +525,29 @@ async def test_the_epoch_of_a_gate_that_somebody_deleted_is_raised_to_that_which
     assert (gate.state.active, gate.state.epoch) == (FAILED.name, 6)
 
 
+async def test_a_recovery_takes_an_epoch_that_its_own_monitor_raised_for_no_other_process(
+    client: MemoryClient, found: ClusterView, tmp_path: Path
+) -> None:
+    """Nothing of its commit is carried out before the epoch is great enough (seed 3084164)."""
+    gate = await open_gate(client, found, tmp_path, FAILED)
+    progress = recovery()
+    await gate.commit(None, progress)
+    await gate.raise_epoch(7)
+    assert gate.state.epoch == 6
+    await gate.commit(STANDBY, progress)
+    assert (gate.state.active, gate.state.epoch) == (STANDBY.name, 7)
+
+
+async def test_the_epoch_is_not_raised_while_a_commit_is_under_way(
+    client: MemoryClient, found: ClusterView, tmp_path: Path
+) -> None:
+    gate = await open_gate(client, found, tmp_path, FAILED)
+    committing = asyncio.create_task(gate.commit(None, recovery()))
+    await asyncio.sleep(0)
+    await gate.raise_epoch(7)
+    assert (await committing).epoch == gate.state.epoch == 5
+
+
 @pytest.mark.parametrize(
     ("switch", "raised"),
     [

@@ -57,7 +57,9 @@ class GateControl:
         self._refused: tuple[int, float] = (-1, 0.0)
         """The revision of the gate whose repair failed last, and when that may be tried again (monotonic seconds)."""
         self._own: tuple[str, int, str] = ("", 0, "")
-        """The recovery that this monitor committed last: its id, the epoch of the commit, and the record that was sent with it."""
+        """The recovery that this monitor committed last: its id, the epoch since that commit, and the record that was sent with it."""
+        self._changing = asyncio.Lock()
+        """Held while this monitor gives the gate a new epoch: it must not take one write of its own for that of another process."""
 
     @property
     def record(self) -> GateRecord | None:
@@ -113,6 +115,16 @@ class GateControl:
         of this recovery, or for a pod that this recovery is not about. Raises NoLongerNeeded if the instance that it would fence is healthy
         again, or was silent because somebody deleted the gate.
         """
+        async with self._changing:
+            return await self._commit(target, progress, leaking, against)
+
+    async def _commit(
+        self,
+        target: Instance | None,
+        progress: Progress | None,
+        leaking: Sequence[PinnedPod],
+        against: Collection[str],
+    ) -> GateState:
         previous = self.record
         if previous is None:
             raise Superseded(f"{self._kind.object_kind} {names.gate(self._view.workload)} does not exist")
@@ -378,16 +390,22 @@ class GateControl:
         A later call repeats a failed write, and goes on if that epoch is not great enough: the admission policy lets a monitor increase it
         by one only. If the gate of the newest epoch still exists, and only the watch is late, the API server refuses the write.
         """
-        record, problem = self.record, self.epoch_problem(known)
-        if record is None or not problem:
-            return
-        self._probes.deciding()
-        epoch = record.epoch + 1
-        try:
-            await self._write_once(self._kind.raising(over=record, epoch=epoch))
-        except FAILURES as error:
-            _logger.warning("could not raise the epoch of the gate: %r", error)
-            return
+        if self._changing.locked():
+            return  # the commit under way gives it the next epoch
+        async with self._changing:
+            record, problem = self.record, self.epoch_problem(known)
+            if record is None or not problem:
+                return
+            self._probes.deciding()
+            epoch = record.epoch + 1
+            try:
+                await self._write_once(self._kind.raising(over=record, epoch=epoch))
+            except FAILURES as error:
+                _logger.warning("could not raise the epoch of the gate: %r", error)
+                return
+        id_, own_epoch, sent = self._own
+        if own_epoch == record.epoch:
+            self._own = (id_, epoch, sent)
         self._probes.committed(epoch)
         self._notices.set(gate=GateStatus(epoch=epoch, active=record.active))
         self._report_restored(problem)
