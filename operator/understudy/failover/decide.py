@@ -48,6 +48,7 @@ class Limit(StrEnum):
     DEBOUNCE = "Debounce"
     UPSTREAM_FAILURE = "UpstreamFailure"
     PAUSE = "Pause"
+    ROBOT_AWAY = "RobotAway"
     REQUIREMENT = "Requirement"
     WAIT_AFTER_RECOVERY = "WaitAfterRecovery"
     STORM = "Storm"
@@ -236,6 +237,14 @@ LIMITS: tuple[LimitRow, ...] = (
         _PAUSED,
         "the monitor does nothing while the workload is {words}",
     ),
+    LimitRow(
+        Limit.ROBOT_AWAY,
+        frozenset({Trigger.HEALTH_FAILED}),
+        Defer,
+        "RobotAway",
+        "{words}",
+        consequence="the monitor would do nothing until the robot is back",
+    ),
     LimitRow(_UNMET, frozenset({Trigger.INTERRUPTED_RECOVERY}), Wait, "RecoveryUnderWay", "{words}"),
     LimitRow(
         _UNMET, frozenset({Trigger.INITIAL_ACTIVATION}), Wait, "NoPodRunning", "no pod of the workload is running"
@@ -355,6 +364,7 @@ _CHECKS: Mapping[Limit, Callable[[Facts, Occurrence, LimitRow], ActiveLimit | No
     Limit.DEBOUNCE: lambda facts, occurrence, row: _until(occurrence.counts_from, facts.now),
     Limit.UPSTREAM_FAILURE: lambda facts, occurrence, row: occurrence.upstream,
     Limit.PAUSE: lambda facts, occurrence, row: facts.limits.pause,
+    Limit.ROBOT_AWAY: lambda facts, occurrence, row: facts.limits.away,
     Limit.REQUIREMENT: lambda facts, occurrence, row: _unmet(occurrence, row),
     Limit.WAIT_AFTER_RECOVERY: lambda facts, occurrence, row: facts.limits.waiting,
     Limit.STORM: lambda facts, occurrence, row: None if facts.standby_ready else facts.limits.storm,

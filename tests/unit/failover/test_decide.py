@@ -27,7 +27,7 @@ from understudy.failover.decide import (
     decide,
     in_force,
 )
-from understudy.failover.limits.state import ActiveLimit, LimitsInForce
+from understudy.failover.limits.state import ROBOT_AWAY, ActiveLimit, LimitsInForce
 
 NOW = 1_000_000.0
 LATER = NOW + 20
@@ -46,6 +46,8 @@ def facts(trigger: Trigger, *rows: LimitRow) -> Facts:
                 occurrence = replace(occurrence, upstream=ActiveLimit("lidar fails", LATER))
             case Limit.PAUSE:
                 found = replace(found, limits=replace(found.limits, pause=ActiveLimit("paused by ann", LATER)))
+            case Limit.ROBOT_AWAY:
+                found = replace(found, limits=replace(found.limits, away=ROBOT_AWAY))
             case Limit.REQUIREMENT:
                 occurrence = replace(occurrence, unmet=Requirement(row.reason, "w-1 is new"))  # type: ignore[arg-type]
             case Limit.WAIT_AFTER_RECOVERY:
@@ -67,7 +69,7 @@ def test_a_limit_alone_leads_to_the_decision_of_its_row(row: LimitRow, trigger: 
     decision = decide(facts(trigger, row))
     assert isinstance(decision, row.decision)
     assert (decision.reason, decision.trigger) == (row.reason, trigger)
-    assert decision.deadline == (None if row.limit == Limit.REQUIREMENT else LATER)
+    assert decision.deadline == (None if row.limit in (Limit.REQUIREMENT, Limit.ROBOT_AWAY) else LATER)
     assert "{" not in decision.message
 
 
@@ -132,8 +134,18 @@ def test_a_storm_does_not_defer_a_failure_if_a_standby_is_ready() -> None:
     assert isinstance(decide(replace(found, standby_ready=True)), Recover)
 
 
+def test_a_robot_that_cannot_be_reached_defers_what_its_silence_causes_and_not_the_loss_of_a_pod() -> None:
+    away = LimitsInForce(away=ROBOT_AWAY)
+    assert decide(Facts(NOW, (Occurrence(Trigger.HEALTH_FAILED),), away)) == Defer(
+        "RobotAway",
+        "no mux reports at the robot, so no other instance would reach it",
+        trigger=Trigger.HEALTH_FAILED,
+    )
+    assert isinstance(decide(Facts(NOW, (Occurrence(Trigger.POD_LOST),), away)), Recover)
+
+
 def test_a_takeover_by_the_reflex_is_never_held() -> None:
-    everything = LimitsInForce(ActiveLimit(), ActiveLimit(), ActiveLimit(), ActiveLimit())
+    everything = LimitsInForce(ActiveLimit(), ActiveLimit(), ActiveLimit(), ActiveLimit(), ActiveLimit())
     assert isinstance(decide(Facts(NOW, (Occurrence(Trigger.REFLEX_TAKEOVER),), everything)), Recover)
 
 

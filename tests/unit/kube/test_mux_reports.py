@@ -139,6 +139,7 @@ def test_a_silent_mux_a_refusal_and_a_stranger_are_reported(
     reports: MuxReports, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert reports.reported("w-1")[:2] == ("Unknown", "Settling")
+    assert not reports.is_away, "it may not have found this monitor yet"
     reports.add(replace(REPORT, refused="the order is of epoch 4"))
     status, reason, message = reports.reported("w-1")
     assert (status, reason) == ("False", "OrderRefused")
@@ -149,6 +150,7 @@ def test_a_silent_mux_a_refusal_and_a_stranger_are_reported(
     assert "/cmd_vel by /teleop" in message
     monkeypatch.setattr(mux_reports, "SILENT", 0.0)
     assert reports.reported("w-1")[:2] == ("False", "NoMux")
+    assert reports.is_away
     assert reports.strangers == ()
 
 

@@ -12,8 +12,9 @@ from understudy.api.moments import unix
 from understudy.cli.common.robots import Robot
 from understudy.failover.decide import Facts, Limit, Occurrence, Trigger, in_force, left
 from understudy.failover.limits import budget, cooldown, pause, storm
-from understudy.failover.limits.state import LimitsInForce
+from understudy.failover.limits.state import ROBOT_AWAY, LimitsInForce
 from understudy.kube.client import Object
+from understudy.kube.gates.mux_reports import NO_MUX
 
 
 def limits_in_force(
@@ -27,8 +28,10 @@ def limits_in_force(
 ) -> LimitsInForce:
     """Return the limits of a workload that are in force, by its objects. Only the monitor knows its backoff."""
     paused = pause.in_force(spec.pause if spec is not None else None, now)
+    reported = status.conditions or []
+    away = ROBOT_AWAY if any(one.type == "GateEnforced" and one.reason == NO_MUX for one in reported) else None
     if policy is None:
-        return LimitsInForce(pause=paused)
+        return LimitsInForce(pause=paused, away=away)
     limit, guard, last = policy.limits.budget, policy.limits.storm_guard, robot.last_recovery
     recovered = unix(last.ended) if last is not None and last.result == "Recovered" and last.ended is not None else None
     return LimitsInForce(
@@ -36,6 +39,7 @@ def limits_in_force(
         waiting=cooldown.in_force(policy, recovered, now),
         storm=storm.in_force(guard, policy_item, now) if guard is not None else None,
         budget=budget.in_force(limit, _spent(status), _resumed(item), now) if limit is not None else None,
+        away=away,
     )
 
 

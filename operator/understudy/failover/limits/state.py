@@ -15,6 +15,9 @@ class ActiveLimit:
     """When it ends by itself; None if that is not known."""
 
 
+ROBOT_AWAY = ActiveLimit("no mux reports at the robot, so no other instance would reach it")
+
+
 @dataclass(frozen=True)
 class LimitsInForce:
     """The limits of a workload that are in force at one instant; None for a limit that is not."""
@@ -25,3 +28,5 @@ class LimitsInForce:
     storm: ActiveLimit | None = None
     budget: ActiveLimit | None = None
     """The budget is spent."""
+    away: ActiveLimit | None = None
+    """The robot cannot be reached: whatever an instance receives or sends, no other one would do better."""

@@ -163,6 +163,11 @@ class Proof(Protocol):
         """
         return None
 
+    @property
+    def is_away(self) -> bool:
+        """Whether the robot cannot be reached: somebody at the gate must report, and does not."""
+        return False
+
     def reported(self, active: str) -> Report | None:
         """Return status, reason and message of the condition GateEnforced, if somebody at the gate reports whom it lets through.
 

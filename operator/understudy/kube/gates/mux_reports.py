@@ -23,6 +23,9 @@ SILENT = 3.0
 SWITCHED_BY_MUX = "SwitchedByMux"
 """Reason of the condition GateEnforced while the mux forwards another instance than the gate names, by its standing order."""
 
+NO_MUX = "NoMux"
+"""Reason of the condition GateEnforced while no mux reports."""
+
 HEARD = 1.0
 """Seconds within which an instance that sends on all outputs was heard on each."""
 
@@ -148,6 +151,11 @@ class MuxReports:
         ages = self.latest.report.heard.get(source, {}) if self.latest is not None else {}
         return all(ages.get(output, math.inf) < HEARD for output in outputs)
 
+    @property
+    def is_away(self) -> bool:
+        """Whether no mux reports, although it had the time to find this monitor."""
+        return self.is_silent and time.monotonic() - self._began >= 2 * SILENT
+
     # -- Proof ------------------------------------------------------------------------------------------------------------
 
     def trust(self, uid: str, key: bytes) -> None:
@@ -257,11 +265,11 @@ class MuxReports:
     def reported(self, active: str) -> base.Report:
         """Return status, reason and message of the condition GateEnforced."""
         if self.is_silent or self.latest is None:
-            if time.monotonic() - self._began < 2 * SILENT:
+            if not self.is_away:
                 return "Unknown", "Settling", "No report of the mux has arrived yet."
             return (
                 "False",
-                "NoMux",
+                NO_MUX,
                 "No mux reports at the robot, so nothing that the instances send reaches it. Run understudy-mux beside the robot's drivers "
                 "(docs/mux.md), and check whether it and this monitor are in the same ROS domain: understudy doctor NAME.",
             )

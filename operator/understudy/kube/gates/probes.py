@@ -425,6 +425,11 @@ class ProbeReceiver:
     def switched(self, active: str) -> None:
         """Return None: nobody switches at the far side of the gate but the robot's own readers."""
 
+    @property
+    def is_away(self) -> bool:
+        """False: nobody reports."""
+        return False
+
     def reported(self, active: str) -> None:
         """Return None: only packets show whom the gate lets through."""
 

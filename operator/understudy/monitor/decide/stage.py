@@ -19,7 +19,7 @@ from understudy.failover.decide import (
     considered,
     decide,
 )
-from understudy.failover.limits.state import ActiveLimit
+from understudy.failover.limits.state import ROBOT_AWAY, ActiveLimit
 from understudy.failover.progress import Progress
 from understudy.failover.strategies.base import StrategyContext
 from understudy.failover.switchover import Preparation
@@ -81,7 +81,7 @@ class DecideStage:
         self._pods = context.instances
         self._levels, self._dependencies = judge.levels, dependencies
         self.takeover, self.sole_driver = judge.takeover, judge.sole_driver
-        self.unseen_restart = judge.unseen_restart
+        self.unseen_restart, self._enforcement = judge.unseen_restart, judge.enforcement
         self.limits = Limits(view, notices)
         self.options = StrategyOptions(view, self.limits.storms, context)
         self._deferred = DeferredFailures(notices)
@@ -222,6 +222,8 @@ class DecideStage:
 
     def _facts(self, judgement: Judgement, occurrences: tuple[Occurrence, ...]) -> Facts:
         limits = self.limits.in_force(judgement.now)
+        if self._enforcement.robot_is_away:
+            limits = replace(limits, away=ROBOT_AWAY)
         ready = limits.storm is not None and self.options.standby_ready()
         return Facts(judgement.now, occurrences, limits, standby_ready=ready, trusted_from=judgement.trusted_from)
 

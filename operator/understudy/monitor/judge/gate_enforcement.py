@@ -125,6 +125,11 @@ class GateEnforcement:
             self._let_through = (state.active_uid, state.admitted_uid)
             self._changed = CLOCK.of_system(now)
 
+    @property
+    def robot_is_away(self) -> bool:
+        """Whether the robot cannot be reached, as far as somebody at the gate shows it."""
+        return self._probes.is_away
+
     def judge(self, instances: Sequence[Instance]) -> ConditionReport:
         """Judge the gate by the probes of these instances, by the robot's readers, and by the interfaces of all instances."""
         state = self._gate.state
