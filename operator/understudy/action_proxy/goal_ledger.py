@@ -141,9 +141,9 @@ class GoalLedger:
 
     def __init__(self) -> None:
         self.situation: ControlState | None = None
+        """None until the monitor has reported the state of control. Until then no decision is made."""
         self._workload = ""
         """UID of the RobotWorkload whose goals they are; empty before it is known."""
-        """None until the monitor has reported the state of control. Until then no decision is made."""
         self.goals: dict[str, Goal] = {}
         self.resent: dict[str, int] = {}
         """Number of goals that another instance took over, by action."""
