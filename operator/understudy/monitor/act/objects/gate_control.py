@@ -366,8 +366,8 @@ class GateControl:
         """Return why what the gate says is not carried out, and would be at a greater epoch; empty if that would not help.
 
         An older gate, which somebody deleted, may have come further: the mux at the robot, or an agent, which knows the epoch ``known``,
-        refuses what is older. And somebody at the robot may have switched by itself to an instance
-        that is gone, or of which nothing was let through: it returns to a replaced instance only by an order that knows the switch.
+        refuses what is older. And somebody at the robot may have switched by itself to an instance that is gone, or of which nothing was
+        let through: it returns to a replaced instance only by an order that knows the switch.
         """
         record = self.record
         if record is None:
