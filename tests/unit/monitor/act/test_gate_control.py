@@ -539,12 +539,19 @@ async def test_a_recovery_takes_an_epoch_that_its_own_monitor_raised_for_no_othe
 
 
 async def test_the_epoch_is_not_raised_while_a_commit_is_under_way(
-    client: MemoryClient, found: ClusterView, tmp_path: Path
+    client: MemoryClient, found: ClusterView, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    gate = await open_gate(client, found, tmp_path, FAILED)
+    gate, write, answers = await open_gate(client, found, tmp_path, FAILED), client.patch, asyncio.Event()
+
+    async def slow(*arguments: Any, **more: Any) -> Object:
+        await answers.wait()
+        return await write(*arguments, **more)
+
+    monkeypatch.setattr(client, "patch", slow)
     committing = asyncio.create_task(gate.commit(None, recovery()))
     await asyncio.sleep(0)
     await gate.raise_epoch(7)
+    answers.set()
     assert (await committing).epoch == gate.state.epoch == 5
 
 
