@@ -186,6 +186,10 @@ def test_an_instance_to_which_the_mux_switched_and_that_does_not_send_is_idle_af
     assert reports.own_switch("w-1") == OwnSwitch("w-2", is_idle=True, active_sends=False)
     reports.add(replace(silent, forwarded=1, since=0.0, heard={}))
     assert reports.own_switch("w-1") == OwnSwitch("w-2", is_idle=False, active_sends=False)
+    reports.add(replace(silent, heard=silent.heard | {"w-2": {"/cmd_vel": mux_reports.SILENT}}))
+    assert reports.own_switch("w-1") == OwnSwitch("w-2", is_idle=True, active_sends=True), (
+        "it was while nobody reported"
+    )
     assert reports.own_switch("w-2") is None
 
 

@@ -71,7 +71,7 @@ class MuxReports:
         self._on_board_at = -math.inf
         """When the mux last reported that it forwards the instance on board."""
         self._idle_since: float | None = None
-        """Since when the mux has reported that it forwarded nothing of the instance to which it had switched by itself."""
+        """Since when the mux has forwarded nothing of the instance to which it had switched by itself, as far as it has reported that."""
         self._changed = asyncio.Event()
         self._began = time.monotonic()
 
@@ -96,8 +96,10 @@ class MuxReports:
         self.latest = Received(report, CLOCK.now())
         if report.on_board:
             self._on_board_at = self.latest.at
-        is_idle = bool(report.token.count) and not report.forwarded
-        self._idle_since = (self._idle_since or self.latest.at) if is_idle else None
+        is_idle, at = bool(report.token.count) and not report.forwarded, self.latest.at
+        # It may have been idle while the mux could not report.
+        quiet = at - min(report.heard.get(report.source, {}).values(), default=0.0)
+        self._idle_since = min(self._idle_since or at, quiet) if is_idle else None
         if (uid := self._driver()) is not None:
             self._acknowledged[uid] = self.latest.at
         self._changed.set()
