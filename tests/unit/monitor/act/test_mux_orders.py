@@ -251,3 +251,21 @@ async def test_a_mux_with_another_token_is_not_heard_and_carries_nothing_out(tmp
         await asyncio.sleep(1.0)
         assert stand.mux.control.source == ""
         assert stand.reports.latest is None
+
+
+async def test_a_lost_request_for_the_token_of_the_mux_is_soon_sent_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Until then nobody orders the mux anything (seed 3312370)."""
+    stand = Stand(tmp_path)
+    read = stand.client.get
+
+    async def hang(*_: object) -> Object:
+        monkeypatch.setattr(stand.client, "get", read)
+        await asyncio.Event().wait()
+        raise AssertionError
+
+    monkeypatch.setattr(stand.client, "get", hang)
+    async with running(stand):
+        await stand.commit("w-1")
+        await stand.until("w-1")

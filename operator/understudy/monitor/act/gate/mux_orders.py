@@ -35,6 +35,7 @@ from understudy.failover.interfaces import Agents, Instances
 from understudy.kube.client import FAILURES, SECRETS, Client
 from understudy.kube.gates.base import GateRecord
 from understudy.kube.gates.mux_reports import MuxReports
+from understudy.kube.repeated_requests import answered
 from understudy.monitor.act.safe_commands import SafeCommands
 from understudy.monitor.observe.objects.cluster_view import ClusterView
 
@@ -99,7 +100,7 @@ class MuxOrders:
         name = names.mux(self._view.workload)
         while True:
             try:
-                secret = await self._client.get(SECRETS, self._view.namespace, name)
+                secret = await answered(lambda: self._client.get(SECRETS, self._view.namespace, name))
                 return base64.b64decode(secret["data"][names.TOKEN])
             except (*FAILURES, KeyError) as error:
                 _logger.warning("the token of the mux cannot be read from Secret %s, trying again: %r", name, error)
