@@ -6,8 +6,6 @@ import asyncio
 import contextlib
 import json
 import logging
-import os
-import secrets
 import threading
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -16,6 +14,7 @@ from pathlib import Path
 from understudy.action_proxy.control_state import TaskRule
 from understudy.action_proxy.goal_ledger import GoalLedger
 from understudy.clock import CLOCK
+from understudy.process.file_replacement import replace_file
 
 _logger = logging.getLogger(__name__)
 
@@ -41,14 +40,14 @@ class GoalJournal:
             _logger.error("the goals of an earlier pod cannot be read, continuing without them: %r", error)
             return
         if text:
-            _replace(self._path, text)
+            replace_file(self._path, text, mode=0o600)
 
     def save(self, ledger: GoalLedger, rules: Sequence[TaskRule]) -> None:
         """Store the goals and the tasks, if they differ from what was stored last. Raises OSError."""
         text = json.dumps({"ledger": ledger.to_wire(), "rules": [asdict(rule) for rule in rules]})
         if text == self._last:
             return
-        _replace(self._path, text)
+        replace_file(self._path, text, mode=0o600)
         self._last = text
         if self._copy is not None:
             self._copy.offer(text)
@@ -102,20 +101,7 @@ class LastingCopy:
             self._wake.clear()
             try:
                 self._path.parent.mkdir(parents=True, exist_ok=True)
-                _replace(self._path, self._newest, synced=True)
+                # Two pods may share the volume for a while.
+                replace_file(self._path, self._newest, mode=0o600, shared=True, synced=True)
             except OSError as error:
                 _logger.error("could not copy the goals to %s, so they are lost with this pod: %s", self._path, error)
-
-
-def _replace(path: Path, text: str, *, synced: bool = False) -> None:
-    temporary = path.with_name(f"{path.name}.{secrets.token_hex(4)}.new")  # two pods may share the volume for a while
-    try:
-        with open(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w") as file:
-            file.write(text)
-            if synced:
-                file.flush()
-                os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except OSError:
-        temporary.unlink(missing_ok=True)
-        raise

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from understudy.agent.held_containers import write_atomically
 from understudy.api.protocol.agent_messages import GateEpoch
 from understudy.clock import CLOCK
+from understudy.process.file_replacement import replace_file
 
 _logger = logging.getLogger(__name__)
 
@@ -99,7 +99,7 @@ class AgentMemory:
 
     def save(self, directory: Path) -> None:
         """Store it, readable by the agent only: the environment may contain secrets. Raises OSError."""
-        write_atomically(directory / NAME, json.dumps(dataclasses.asdict(self._moved(CLOCK.step()))), 0o600)
+        replace_file(directory / NAME, json.dumps(dataclasses.asdict(self._moved(CLOCK.step()))), mode=0o600)
 
     def _moved(self, seconds: float) -> AgentMemory:
         def moved(moment: float | None) -> float | None:

@@ -13,21 +13,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from understudy.api.protocol import hold_script
-
-
-def write_atomically(path: Path, text: str, mode: int) -> None:
-    """Write a file that exists completely or not at all. Raises OSError."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    temporary.unlink(missing_ok=True)
-    descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
-    try:
-        with os.fdopen(descriptor, "w") as file:
-            os.fchmod(descriptor, mode)  # independent of the umask
-            file.write(text)
-        temporary.rename(path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
+from understudy.process.file_replacement import replace_file
 
 
 def make_fifo(path: Path) -> None:
@@ -96,7 +82,7 @@ class HeldContainers:
             path = self._directory / hold_script.env_name(container)
             if not path.exists():
                 # The containers have users of their own; the volume is in this pod only.
-                write_atomically(path, text, 0o644)
+                replace_file(path, text, mode=0o644)
         self.wake()
 
     def wake(self) -> None:

@@ -21,10 +21,11 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from understudy.agent.control_channel import Operation, Peer, Refused
-from understudy.agent.held_containers import make_fifo, wake_fifo, write_atomically
+from understudy.agent.held_containers import make_fifo, wake_fifo
 from understudy.agent.permit import Permit
 from understudy.api import names
 from understudy.api.protocol import agent_messages, freeze_script
+from understudy.process.file_replacement import replace_file
 
 _logger = logging.getLogger(__name__)
 
@@ -235,7 +236,7 @@ class Isolation:
 
     def _mark(self, frozen: bool) -> None:
         if frozen:
-            write_atomically(self._marker, "", 0o644)
+            replace_file(self._marker, "", mode=0o644)
             self.since = time.time()
         else:
             self._marker.unlink(missing_ok=True)

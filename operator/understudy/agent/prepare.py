@@ -12,10 +12,11 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
-from understudy.agent.held_containers import make_fifo, write_atomically
+from understudy.agent.held_containers import make_fifo
 from understudy.api import names
 from understudy.api.protocol import freeze_script
 from understudy.api.protocol.ownership_strength import strength
+from understudy.process.file_replacement import replace_file
 
 
 def main(argv: list[str]) -> int:
@@ -48,7 +49,7 @@ def write(profiles: str, directory: Path, pod: str) -> Path:
     if not path.exists():
         # for all users: the application's processes have users of their own
         values = {names.POD_VARIABLE: pod, names.STRENGTH_VARIABLE: str(strength(time.time()))}
-        write_atomically(path, filled_in(profiles, values), 0o644)
+        replace_file(path, filled_in(profiles, values), mode=0o644)
     return path
 
 

@@ -18,9 +18,9 @@ import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from understudy.agent.held_containers import write_atomically
 from understudy.api import names
 from understudy.api.protocol.ownership_strength import strength
+from understudy.process.file_replacement import replace_file
 
 _logger = logging.getLogger(__name__)
 
@@ -72,7 +72,7 @@ class WriterStrengths:
                 self._known |= processes
                 self._keep(self.range)
             if now < int(written[2]):
-                write_atomically(path, _VALUE.sub(rf"\g<1>{now}\g<3>", text), 0o644)
+                replace_file(path, _VALUE.sub(rf"\g<1>{now}\g<3>", text), mode=0o644)
         except FileNotFoundError:
             return False
         except OSError as error:
@@ -92,8 +92,8 @@ class WriterStrengths:
         with contextlib.suppress(FileNotFoundError):
             text = path.read_text()
             if _VALUE.search(text) and _DEADLINE.search(text):
-                write_atomically(path, _DEADLINE.sub("", text), 0o644)
+                replace_file(path, _DEADLINE.sub("", text), mode=0o644)
 
     def _keep(self, found: tuple[int, int]) -> None:
         kept = {"processes": sorted(self._known), "least": found[0], "most": found[1]}
-        write_atomically(self._memory / NAME, json.dumps(kept), 0o600)
+        replace_file(self._memory / NAME, json.dumps(kept), mode=0o600)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,6 +9,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from understudy.failover.abandoned import AbandonedRecovery
 from understudy.failover.progress import Progress
+from understudy.process.file_replacement import replace_file
 
 _GIVEN_UP = TypeAdapter(list[AbandonedRecovery])
 
@@ -23,7 +23,7 @@ class Journal:
 
     def save(self, progress: Progress) -> None:
         """Store the progress of the present recovery."""
-        _replace(self._path, progress.record())
+        replace_file(self._path, progress.record())
 
     def load(self) -> Progress | None:
         """Return the stored progress; None if there is none or the file is damaged."""
@@ -39,7 +39,7 @@ class Journal:
     def give_up(self, given_up: Sequence[AbandonedRecovery]) -> None:
         """Store exactly these abandoned recoveries. The gate may still report them."""
         if given_up:
-            _replace(self._given_up, _GIVEN_UP.dump_json(list(given_up)).decode())
+            replace_file(self._given_up, _GIVEN_UP.dump_json(list(given_up)).decode())
         else:
             self._given_up.unlink(missing_ok=True)
 
@@ -49,9 +49,3 @@ class Journal:
             return _GIVEN_UP.validate_json(self._given_up.read_text())
         except (OSError, ValidationError):
             return []
-
-
-def _replace(path: Path, text: str) -> None:
-    temporary = path.with_name(f"{path.name}.new")
-    temporary.write_text(text)
-    os.replace(temporary, path)

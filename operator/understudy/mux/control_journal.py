@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 from dataclasses import asdict
 from pathlib import Path
 
 from understudy.api.protocol.mux_messages import Token, read_standing, standing_message
 from understudy.mux.control import Control
+from understudy.process.file_replacement import replace_file
 
 _logger = logging.getLogger(__name__)
 
@@ -22,17 +22,8 @@ class ControlJournal:
 
     def save(self, control: Control) -> None:
         """Store the control. Raises OSError, and then nothing is stored."""
-        temporary = self._path.with_suffix(".new")
-        with open(temporary, "w") as file:
-            json.dump(asdict(control) | {"standing": standing_message(control.standing)}, file)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, self._path)
-        folder = os.open(self._path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+        text = json.dumps(asdict(control) | {"standing": standing_message(control.standing)})
+        replace_file(self._path, text, synced=True)
 
     def load(self) -> Control:
         """Return what was stored; nobody is forwarded if nothing was.

@@ -13,7 +13,6 @@ import hashlib
 import json
 import logging
 import os
-import secrets
 import struct
 import time
 from collections.abc import Mapping, Sequence
@@ -21,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from understudy.clock import boot_id
+from understudy.process.file_replacement import NEW, replaced_file
 from understudy.state.state_capture import Key, Version
 
 _logger = logging.getLogger(__name__)
@@ -90,7 +90,7 @@ class StateStore:
             document["source"] = {"uid": source.uid, "restarts": source.restarts, "processes": processes}
         text = json.dumps(document, separators=(",", ":")).encode()
         body = struct.pack(">I", len(text)) + text + b"".join(parts)
-        self._known = _replace(self._index, _MAGIC + hashlib.sha256(body).digest() + body)
+        self._known = self._replace(self._index, _MAGIC + hashlib.sha256(body).digest() + body)
         for name in self._blobs - needed:
             (self._directory / name).unlink(missing_ok=True)
         self._blobs, self._made = needed, True
@@ -102,7 +102,7 @@ class StateStore:
             return len(parts) - 1
         name = f"{hashlib.sha256(data).hexdigest()}.message"
         if name not in self._blobs | needed:
-            _replace(self._directory / name, data)
+            self._replace(self._directory / name, data)
         needed.add(name)
         return name
 
@@ -177,10 +177,17 @@ class StateStore:
         self._blobs.add(name)
         return data
 
+    def _replace(self, path: Path, data: bytes) -> tuple[int, ...]:
+        """Replace a file, and return the new one's identity."""
+        with replaced_file(path, shared=True) as file:  # two monitors may share the volume for a while
+            file.write(data)
+            file.flush()
+            return _identity(os.fstat(file.fileno()))
+
     def _tidy(self) -> None:
         """Remove files that a killed process began to write. The next save removes messages that nothing refers to."""
         try:
-            for path in self._directory.glob("*.new"):
+            for path in self._directory.glob(f"*{NEW}"):
                 with contextlib.suppress(FileNotFoundError):  # another monitor has just finished it
                     if time.time() - path.stat().st_mtime >= ABANDONED:
                         path.unlink()
@@ -191,18 +198,6 @@ class StateStore:
 
 def _identity(found: os.stat_result) -> tuple[int, ...]:
     return found.st_ino, found.st_mtime_ns, found.st_size
-
-
-def _replace(path: Path, data: bytes) -> tuple[int, ...]:
-    target = str(path)
-    temporary = f"{target}.{secrets.token_hex(4)}.new"  # two monitors may share the volume for a while
-    with open(temporary, "wb", buffering=0) as file:
-        view = memoryview(data)
-        while view:
-            view = view[file.write(view) :]
-        written = _identity(os.fstat(file.fileno()))
-    os.replace(temporary, target)
-    return written
 
 
 def _clock_step(clock: Mapping[str, object]) -> float:

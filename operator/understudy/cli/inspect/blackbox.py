@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import hashlib
 import http.client
-import os
 import sys
 import time
 from collections.abc import Iterator, Mapping
@@ -24,6 +23,7 @@ from understudy.cli.common.text import terminal
 from understudy.cli.common.text.text_tables import format_texts
 from understudy.cli.common.text.wording import age, clock, counted, wrapped
 from understudy.cli.inspect.tree import fetch_json, monitor_pod
+from understudy.process.file_replacement import replaced_file
 
 SUCCESS, NONE = 0, 1
 """Exit statuses besides ERROR."""
@@ -138,7 +138,6 @@ def _wanted(found: Recordings, wanted: str) -> Recording:
 
 def _fetch(port: int, recording: Recording, path: Path) -> None:
     """Download a recording to a file, completely or not at all. Raises CommandError."""
-    fresh = path.with_name(f"{path.name}.part")
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=_PATIENCE)
     checksum = hashlib.sha256()
     try:
@@ -146,22 +145,20 @@ def _fetch(port: int, recording: Recording, path: Path) -> None:
         answer = connection.getresponse()
         if answer.status != 200:
             raise CommandError(f"recording {recording.id} is gone: it was replaced by a newer one")
-        with fresh.open("wb") as file:
+        with replaced_file(path) as file:
             while piece := answer.read(_PIECE):
                 checksum.update(piece)
                 file.write(piece)
-        if checksum.hexdigest() != recording.sha256:
-            raise CommandError(
-                f"recording {recording.id} is damaged, on the monitor's disk or in transit: its checksum does not match"
-            )
-        os.replace(fresh, path)
+            if checksum.hexdigest() != recording.sha256:
+                raise CommandError(
+                    f"recording {recording.id} is damaged, on the monitor's disk or in transit: its checksum does not match"
+                )
     except http.client.HTTPException as error:
         raise CommandError(f"recording {recording.id} was not received completely: {error!r}") from error
     except OSError as error:
         raise CommandError(f"recording {recording.id} cannot be written to {path}: {error}") from error
     finally:
         connection.close()
-        fresh.unlink(missing_ok=True)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from understudy.failover.interfaces import Gate, Instance, Instances
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.agent_connections import AgentConnections
 from understudy.monitor.observe.robot.health_observer import HealthObserver
+from understudy.process.file_replacement import replace_file
 
 _logger = logging.getLogger(__name__)
 
@@ -68,13 +68,11 @@ class EndedFor:
 
     def add(self, uid: str) -> bool:
         """Store a UID. Returns False if it is stored already or cannot be: without it, the process could end again and again."""
-        temporary = self._path.with_name(f"{self._path.name}.new")
         try:
             known = self._path.read_text().split() if self._path.exists() else []
             if uid in known:
                 return False
-            temporary.write_text("".join(f"{one}\n" for one in [*known, uid]))
-            os.replace(temporary, self._path)
+            replace_file(self._path, "".join(f"{one}\n" for one in [*known, uid]))
         except (OSError, ValueError) as error:
             _logger.warning("the monitor is deaf for the active instance and does not end, because: %s", error)
             return False

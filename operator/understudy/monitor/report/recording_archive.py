@@ -7,10 +7,8 @@ is incomplete because its node was lost.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import logging
-import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import IO
@@ -18,10 +16,9 @@ from typing import IO
 from pydantic import ValidationError
 
 from understudy.api.kinds.recording_spec import Recording
+from understudy.process.file_replacement import NEW, replace_file, replaced_file
 
 _logger = logging.getLogger(__name__)
-
-_NEW = ".new"
 
 
 class TooBig(Exception):
@@ -54,32 +51,20 @@ class RecordingArchive:
         """
         self._folder.mkdir(parents=True, exist_ok=True)
         path = self.path(recording)
-        fresh = path.with_suffix(f".mcap{_NEW}")
-        try:
-            with open(fresh, "wb") as file:
-                hashing = _Hashing(file)
-                messages = write(hashing)  # type: ignore[arg-type]  # it is written to, and asked where that is
-            size = fresh.stat().st_size
+        with replaced_file(path) as file:
+            hashing = _Hashing(file)
+            messages = write(hashing)  # type: ignore[arg-type]  # it is written to, and asked where that is
+            size = file.tell()
             if size > most_bytes:
                 raise TooBig(f"it has {size} bytes, and blackBox.maxSize is {most_bytes}")
             figures = {"messages": messages, "size": size, "sha256": hashing.digest}
             described = recording.model_copy(update=figures)
-            self._replace(path.with_suffix(".json"), described.model_dump_json().encode())
-            os.replace(fresh, path)
-        except BaseException:
-            with contextlib.suppress(OSError):
-                fresh.unlink(missing_ok=True)
-            raise
+            replace_file(path.with_suffix(".json"), described.model_dump_json())
         self._kept = kept = [described, *(one for one in self.recordings if one.id != described.id)]
         while len(kept) > most or sum(one.size for one in kept) > most_bytes:
             self._remove(self.path(kept[-1]))
             self._kept = kept = kept[:-1]
         return described
-
-    def _replace(self, path: Path, data: bytes) -> None:
-        fresh = path.with_suffix(f"{path.suffix}{_NEW}")
-        fresh.write_bytes(data)
-        os.replace(fresh, path)
 
     def _remove(self, path: Path) -> None:
         for each in (path, path.with_suffix(".json")):
@@ -89,7 +74,7 @@ class RecordingArchive:
         """Return the recordings of earlier monitors, and remove incomplete ones."""
         kept: list[Recording] = []
         try:
-            for path in self._folder.glob(f"*{_NEW}"):
+            for path in self._folder.glob(f"*{NEW}"):
                 path.unlink(missing_ok=True)
             for path in self._folder.glob("*.json"):
                 if (found := self._read(path)) is not None:
