@@ -232,7 +232,7 @@ def test_a_mux_that_restarts_goes_on_and_refuses_older_orders(stand: Stand) -> N
 
 def test_an_order_that_cannot_be_kept_fences_and_puts_nobody_in_control(stand: Stand, tmp_path: Path) -> None:
     stand.order(ORDER)
-    (tmp_path / "control.new").mkdir()
+    (tmp_path / "control.json.new").mkdir()
     report = stand.order(replace(ORDER, epoch=6, source="w-2"), "later")
     assert (report.source, report.nonce) == ("", "later"), (
         "the order fences the first one, and the second one is not kept"
@@ -244,7 +244,7 @@ def test_an_order_that_cannot_be_kept_fences_and_puts_nobody_in_control(stand: S
     assert stand.report.source == "w-1", "the next order comes soon"
     stand.order(replace(ORDER, epoch=6, source=""))
     assert stand.report.source == ""
-    (tmp_path / "control.new").rmdir()
+    (tmp_path / "control.json.new").rmdir()
     stand.order(replace(ORDER, epoch=6, source="w-2"))
     stand.after(0.01, "w-1", "w-2")
     assert stand.topic.forwarded == ["w-2"]
@@ -257,10 +257,10 @@ def test_after_a_fence_that_cannot_be_kept_the_instance_on_board_does_not_stand_
     """Somebody may stand in front of the robot (seed 3252407)."""
     standing = StandingOrder(on_board=OnBoard("w-2", {"/cmd_vel": 1.0}))
     stand.order(replace(ORDER, source=source, standing=standing))
-    (tmp_path / "control.new").mkdir()
+    (tmp_path / "control.json.new").mkdir()
     fence = replace(ORDER, epoch=6, source="", standing=StandingOrder())
     assert "cannot keep it" in stand.order(fence).refused
-    (tmp_path / "control.new").rmdir()
+    (tmp_path / "control.json.new").rmdir()
     stand.after(5.0, "w-2")
     stand.after(5.0, "w-2")
     assert (stand.report.source, stand.topic.forwarded) == ("", [])
@@ -270,17 +270,17 @@ def test_after_a_fence_that_cannot_be_kept_the_instance_on_board_does_not_stand_
 
 def test_an_order_that_cannot_be_kept_does_not_stop_the_instance_that_it_names(stand: Stand, tmp_path: Path) -> None:
     stand.order(ORDER)
-    (tmp_path / "control.new").mkdir()
+    (tmp_path / "control.json.new").mkdir()
     assert "cannot keep it" in stand.order(replace(ORDER, epoch=6)).refused
     stand.after(0.01, "w-1")
     assert stand.topic.forwarded == ["w-1"]
 
 
 def test_an_order_that_cannot_be_kept_ends_all_older_ones(stand: Stand, tmp_path: Path) -> None:
-    (tmp_path / "control.new").mkdir()
+    (tmp_path / "control.json.new").mkdir()
     fence = replace(ORDER, epoch=6, source="")
     assert "cannot keep it" in stand.order(fence).refused
-    (tmp_path / "control.new").rmdir()
+    (tmp_path / "control.json.new").rmdir()
     report = stand.order(ORDER, "late")
     assert (report.source, report.nonce) == ("", "late")
     assert "epoch 6" in report.refused
@@ -291,10 +291,10 @@ def test_an_order_that_cannot_be_kept_ends_all_older_ones(stand: Stand, tmp_path
 def test_a_switch_that_cannot_be_kept_is_not_made(stand: Stand, tmp_path: Path) -> None:
     stand.order(ORDER)
     stand.after(0.1, "w-1")
-    (tmp_path / "control.new").mkdir()
+    (tmp_path / "control.json.new").mkdir()
     stand.after(1.0, "w-2")
     assert stand.report.source == "w-1"
-    (tmp_path / "control.new").rmdir()
+    (tmp_path / "control.json.new").rmdir()
     stand.after(0.01, "w-2")
     assert stand.report.source == "w-2"
 
