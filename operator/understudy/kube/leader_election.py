@@ -130,7 +130,7 @@ class Lease:
         transitions = spec.get("leaseTransitions") or 0
         record = (holder, spec.get("renewTime") or "", transitions)
         if record != self._record:
-            self._record, self._changed_at = record, started
+            self._record, self._changed_at = record, self._clock()  # it may have been renewed just before the answer
         lasts = float(spec.get("leaseDurationSeconds") or self._timing.lasts)
         if holder not in ("", self._identity) and started - self._changed_at < lasts:
             return False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from typing import Any
 
 import pytest
 
@@ -70,6 +71,25 @@ async def test_the_clock_of_the_holder_does_not_matter() -> None:
     client.items["leases", "system", "operator"]["spec"]["renewTime"] = "1999-01-01T00:00:00.000000Z"
     with pytest.raises(TimeoutError):
         await asyncio.wait_for(second.acquire(), 0.5)
+
+
+async def test_a_record_in_a_late_answer_is_as_old_as_the_answer_and_not_as_the_request() -> None:
+    client, now = MemoryClient(), 0.0
+    first = Lease(client, "system", "operator", "a", timing=TIMING, clock=lambda: now)
+    second = Lease(client, "system", "operator", "b", timing=TIMING, clock=lambda: now)
+    await first.acquire()
+    find = client.find
+
+    async def find_late(*names: str) -> dict[str, Any] | None:
+        nonlocal now
+        now += 0.9  # the holder renews just before the answer
+        return await find(*names)
+
+    client.find = find_late  # type: ignore[method-assign,assignment]
+    assert not await second._attempt()
+    client.find = find  # type: ignore[method-assign]
+    now += 0.2
+    assert not await second._attempt(), "the record was unchanged for 0.2 s only"
 
 
 async def test_a_released_lease_is_free_at_once() -> None:
