@@ -134,7 +134,8 @@ class Drivers:
         now, both = self._clock(), " and ".join(sorted(found.name for found in self._heard(robot)))
         for says in monitors:
             lasts = now - max(since, says.unhindered_since) - 2 * max(found.period for found in self._heard(robot))
-            is_stranger = any(found.uid not in says.knows for found in self._heard(robot))
+            known = says.knows & frozenset(self.knew(says.who, now - NOTICED))
+            is_stranger = any(found.uid not in known for found in self._heard(robot))
             may_say = {"False", "Unknown"} if is_stranger or not says.has_gate else {"False"}
             if lasts >= NOTICED and says.health == "Healthy":
                 self._broken(f"{says.who} says that {robot} is Healthy, and {both} drive it for {lasts:.1f} s")
