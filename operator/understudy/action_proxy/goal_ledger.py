@@ -588,6 +588,7 @@ class GoalLedger:
             works = there is not None and there.at is AttemptState.RUNNING
             for uid in sorted(self._mirrors if works else self._mirrors & self._invited):
                 self._mirror(goal, uid, now)
+        self._withdraw(goal)
 
     def _may_move(self, goal: Goal, rule: TaskRule) -> bool:
         """Whether a goal that no instance works on may be given to the active one.
@@ -621,6 +622,13 @@ class GoalLedger:
         attempt = goal.attempts.get(uid)
         if attempt is None or (not attempt.open and attempt.status != SUCCEEDED and attempt.after <= now):
             goal.attempt(uid)
+
+    def _withdraw(self, goal: Goal) -> None:
+        """Withdraw a goal from instances that are no mirrors any more. If one of them is put in control, it may already be cancelling it."""
+        if goal.open and self.situation is not None and self.situation.is_confirmed:
+            kept = self._mirrors | {goal.charge}
+            for uid, attempt in goal.attempts.items():
+                attempt.withdrawn |= attempt.open and uid not in kept
 
     def _forget(self, now: float) -> None:
         """Forget ended goals after some time, the oldest first."""

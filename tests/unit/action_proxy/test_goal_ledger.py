@@ -519,6 +519,22 @@ class TestMirrors:
         world.cancel(second)
         assert world.instances["b"].running == {}
 
+    def test_a_goal_that_was_withdrawn_from_a_standby_is_sent_again_if_that_is_put_in_control(
+        self, world: World
+    ) -> None:
+        goal = world.ask()
+        world.want(goal)
+        world.instances["b"].executing = False
+        world.tell(work=False)
+        (order,) = world.ledger.orders("b")
+        assert order.cancel
+        world.switch("b", work=False)  # the cancel is on its way
+        world.end("b", goal, CANCELED)
+        world.later(10)
+        assert world.results == {}
+        assert status(world, goal) == EXECUTING
+        assert len(world.instances["b"].starts) == 2
+
     def test_a_later_standby_receives_the_goal_too(self, world: World) -> None:
         goal = world.ask()
         world.instances["c"] = type(world.instances["a"])("c", executing=True)

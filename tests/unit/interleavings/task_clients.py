@@ -52,6 +52,8 @@ class Goal:
     """Whether an instance has ended it for a newer one."""
     moved: bool = False
     """Whether the pod of its proxy has ended, and the journal with it, while it was open."""
+    stranded: bool = False
+    """Whether only instances that the gate did not name had it then. The next proxy takes goals over from the one in control."""
     ungated: bool = False
     """Whether somebody deleted the gate, and with it the record of who drove, while it was open."""
     excused: bool = False
@@ -163,7 +165,9 @@ class Clients:
     def moves(self, workload: str) -> None:
         """The pod of a workload's proxy ends."""
         for goal in self.goals.values():
-            goal.moved |= goal.workload == workload and goal.end is None
+            if goal.workload == workload and goal.end is None:
+                goal.moved = True
+                goal.stranded |= not any(self.commands.drives(found) for found in self._having(goal))
 
     def gate_deleted(self, workload: str) -> None:
         """Somebody deletes the gate of a workload."""
@@ -171,13 +175,15 @@ class Clients:
             goal.ungated |= goal.workload == workload and goal.end is None
 
     def _is_forgotten(self, goal: Goal) -> bool:
-        """Whether no instance is left that has a goal, with an agent that knows it: one that was restarted does not."""
-        return not any(
-            self.robots.running[uid].exists
-            and self.robots.running[uid].restarts == restarts
-            and self.robots.agents_of.get(uid) is agent
-            for uid, (agent, restarts) in self._begun.get(goal.id, {}).items()
-        )
+        """Whether the next proxy of a lost one can learn of a goal from no instance."""
+        return goal.stranded or not any(self._having(goal))
+
+    def _having(self, goal: Goal) -> Iterator[Running]:
+        """The instances that have a goal, with an agent that knows it: one that was restarted does not."""
+        for uid, (agent, restarts) in self._begun.get(goal.id, {}).items():
+            found = self.robots.running[uid]
+            if found.exists and found.restarts == restarts and self.robots.agents_of.get(uid) is agent:
+                yield found
 
     def begun(self, found: Running, goal: str) -> None:
         """An instance begins to work on a goal."""
