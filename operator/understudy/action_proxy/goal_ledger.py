@@ -624,7 +624,7 @@ class GoalLedger:
             goal.attempt(uid)
 
     def _withdraw(self, goal: Goal) -> None:
-        """Withdraw a goal from instances that are no mirrors any more. If one of them is put in control, it may already be cancelling it."""
+        """Withdraw a goal from former mirrors. One of them may be put in control while it cancels the goal."""
         if goal.open and self.situation is not None and self.situation.is_confirmed:
             kept = self._mirrors | {goal.charge}
             for uid, attempt in goal.attempts.items():
