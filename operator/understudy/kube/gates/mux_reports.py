@@ -155,8 +155,9 @@ class MuxReports:
 
     @property
     def is_away(self) -> bool:
-        """Whether no mux reports, although it had the time to find this monitor."""
-        return self.is_silent and time.monotonic() - self._began >= 2 * SILENT
+        """Whether no mux reports, although it has reported to this monitor, or had the time to find it."""
+        had_time = self.latest is not None or time.monotonic() - self._began >= 2 * SILENT
+        return self.is_silent and had_time
 
     # -- Proof ------------------------------------------------------------------------------------------------------------
 

@@ -21,6 +21,9 @@ SETTLE = 3.0
 SILENT = 5.0
 """Seconds without a probe of the active instance after which its path to the robot counts as blocked."""
 
+KEPT = 5.0
+"""Seconds for which the last judgement stands while the gate cannot be tested. A commit needs SETTLE, and is judged once a second."""
+
 LEAK_LASTS = 60.0
 """Seconds for which a packet of a pod that the gate does not admit counts. A node may apply the labels of a new pod late, so that one
 packet passes the gate and no other."""
@@ -117,6 +120,8 @@ class GateEnforcement:
         self._changed = CLOCK.now()
         """When the gate last let other pods through than before, by the process's clock."""
         self._let_through = ("", "")
+        self._settling_since: float | None = None
+        """Since when the gate cannot be tested, by the process's clock."""
 
     def update(self, now: float) -> None:
         """Note whether the gate now lets other pods through than before."""
@@ -154,10 +159,9 @@ class GateEnforcement:
         return ("False", FURTHER, further) if further else judged
 
     def report(self, judged: ConditionReport) -> None:
-        """Report the judgement, unless the gate cannot be tested at the moment."""
-        if (
-            judged[1] not in ("Settling", "Admitted")
-            and self._notices.condition(CONDITION, *judged)
-            and judged[0] == "False"
-        ):
+        """Report the judgement, unless the gate cannot be tested for a moment."""
+        now = CLOCK.now()
+        self._settling_since = None if judged[1] != "Settling" else self._settling_since or now
+        is_kept = judged[1] == "Admitted" or (self._settling_since is not None and now - self._settling_since < KEPT)
+        if not is_kept and self._notices.condition(CONDITION, *judged) and judged[0] == "False":
             self._notices.event("Warning", f"Gate{judged[1]}", judged[2])

@@ -139,6 +139,9 @@ def test_enforcement_is_judged_again_after_the_gate_admits_another_pod(
     enforced.report(found := enforced.judge([ACTIVE, STANDBY]))
     assert found[1] == "Settling"
     assert notices.conditions["GateEnforced"][1] == "NotEnforced", "what was seen before stands"
+    monkeypatch.setattr(gate_enforcement, "KEPT", 0.0)
+    enforced.report(found)
+    assert notices.conditions["GateEnforced"][:2] == ("Unknown", "Settling"), "but not for long"
 
 
 def just_opened(
