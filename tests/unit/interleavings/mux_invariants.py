@@ -228,7 +228,7 @@ class MuxInvariants(Invariants):
                 f"{mux.process} forwards {after.source} by epoch {epoch}, which undoes the switch to {before.source} "
                 f"({_text(before.token)}): its monitor knew {_text(self._knew[workload].get(epoch, Token()))}"
             )
-        if after.source == before.source:
+        if after.source and after.source == before.source:  # a mux that could not keep an order forwards nobody, too
             self.counts["switches committed"] += 1
             if (commit := self._writers[workload].get(epoch)) is not None and commit[0] not in self._given_up:
                 self._unrecorded[workload][before.ordered, after.source] = commit
