@@ -352,6 +352,9 @@ class MonitorLoop:
     def _housekeeping(self) -> None:
         """Do the work that is not urgent. Returns at once."""
         self.act.keep_connected()
+        others = [i for i in self._pods.of_workload() if i.uid != self.act.switchovers.preparing]
+        judged = self.judge.enforcement.judge(others)
+        self.judge.enforcement.report(judged)
         policy, settings = self._view.policy, self._view.settings
         if policy is None or settings is None:
             return
@@ -360,9 +363,6 @@ class MonitorLoop:
         paused = self.decide.limits.pauses.on is not None
         self.act.raise_epoch()
         self.act.supervise_standbys(policy, paused=paused)
-        others = [i for i in self._pods.of_workload() if i.uid != self.act.switchovers.preparing]
-        judged = self.judge.enforcement.judge(others)
         self.act.reflexes.keep(time.time(), enforced=judged, paused=paused)
-        self.judge.enforcement.report(judged)
         self.judge.sole_driver.report(time.time())
         self.act.strays.look(*self.judge.sole_driver.unknown(time.time()))

@@ -137,6 +137,7 @@ class GateEnforcement:
 
     def judge(self, instances: Sequence[Instance]) -> ConditionReport:
         """Judge the gate by the probes of these instances, by the robot's readers, and by the interfaces of all instances."""
+        self.update(time.time())
         state = self._gate.state
         if (reported := self._probes.reported(state.active)) is not None:
             return reported

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from tests.unit.monitor.cluster_objects import policy_of
+from tests.unit.monitor.gates import Packets
 from tests.unit.monitor.monitors import GivenMonitor
 from understudy.failover.interfaces import GateState, Instance
 from understudy.monitor.judge.stage import Judgement
@@ -85,3 +86,17 @@ def test_a_healthy_instance_beside_an_unknown_sender_is_not_reported_as_healthy(
     assert "/cmd_vel by /teleop" in monitor.notices.conditions["Healthy"][2]
     report.judged(Judgement(0.0, verdict=Verdict("Failed", "why", "leaf", None)))
     assert monitor.notices.conditions["Healthy"] == ("False", "Failed", "why")
+
+
+def test_whether_the_gate_is_enforced_is_reported_before_the_policy_can_be_read(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    found = GivenMonitor(tmp_path)
+    found.objects.put_workload()
+    found.objects.put_pods(Instance("w-1", "uid-1", running=True, ready=True))
+    found.objects.put_gate(GateState(epoch=3, active="w-1", active_uid="uid-1"))
+    away = ("False", "NoMux", "No mux reports at the robot.")
+    monkeypatch.setattr(Packets, "reported", lambda self, active: away)
+    assert found.view.policy is None
+    found.loop._housekeeping()
+    assert found.notices.conditions["GateEnforced"] == away
