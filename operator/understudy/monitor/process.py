@@ -185,8 +185,7 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
             group.create_task(readership.run())
         group.create_task(DeafnessWatch(fleet, gate, agents, observer, EndedFor(state / "deaf-for"), notices).run())
         socket = Path(os.environ.get("UNDERSTUDY_TASKS_SOCKET", f"{names.TASKS_DIR}/{names.TASKS_SOCKET}"))
-        drove_on_board = lambda: observer.drove_on_board  # noqa: E731
-        group.create_task(ActionProxyLink(socket, view, fleet, gate, agents, notices, drove_on_board).run())
+        group.create_task(ActionProxyLink(socket, view, fleet, gate, agents, notices, observer).run())
         alive["ready"] = time.time()
         # The objects that exist now stay, and a garbage collection that visited them took up to 10 ms, also during a recovery.
         gc.collect()

@@ -53,9 +53,9 @@ class TaskMonitor(Monitor):
     socket = Path()
 
     def _beside(self, loop: MonitorLoop, parts: Parts, group: asyncio.TaskGroup) -> None:
-        cluster = parts.cluster
+        cluster, senses = parts.cluster, parts.senses
         link = ActionProxyLink(
-            self.socket, cluster.view, cluster.pods, cluster.gate, parts.senses.agents, parts.notices
+            self.socket, cluster.view, cluster.pods, cluster.gate, senses.agents, parts.notices, senses.observer
         )
         group.create_task(link.run())
         group.create_task(self._end_if_deleted(cluster.view))

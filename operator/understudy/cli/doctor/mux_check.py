@@ -14,8 +14,9 @@ from understudy.controller.observed.pod_diagnosis import trouble
 from understudy.kube.client import CONFIG_MAPS, NODES, PODS, SECRETS, Object, Resource
 from understudy.kube.gates import registry
 from understudy.kube.gates.base import GateRecord
+from understudy.kube.gates.mux_reports import NO_MUX
 
-_NO_REPORT = ("NoMux", "Settling")
+_NO_REPORT = (NO_MUX, "Settling")
 """Reasons of the condition GateEnforced from before a mux has reported."""
 
 

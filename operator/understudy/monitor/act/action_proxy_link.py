@@ -9,7 +9,7 @@ import asyncio
 import json
 import logging
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from understudy.monitor.notices import Notices
 from understudy.monitor.observe.agent_connections import AgentConnections
 from understudy.monitor.observe.objects import own_pod
 from understudy.monitor.observe.objects.cluster_view import ClusterView
+from understudy.monitor.observe.robot.health_observer import HealthObserver
 
 _logger = logging.getLogger(__name__)
 
@@ -54,15 +55,12 @@ class ActionProxyLink:
         gate: Gate,
         agents: AgentConnections,
         notices: Notices,
-        drove_on_board: Callable[[], bool] = lambda: False,
+        observer: HealthObserver,
     ) -> None:
-        """``socket`` is the path of the proxy's socket.
-
-        ``drove_on_board`` returns whether an instance on board drives, or did a moment ago.
-        """
+        """``socket`` is the path of the proxy's socket."""
         self._socket = socket
         self._view, self._fleet, self._gate = view, fleet, gate
-        self._agents, self._notices, self._drove_on_board = agents, notices, drove_on_board
+        self._agents, self._notices, self._observer = agents, notices, observer
 
     async def run(self) -> None:
         """Connect, send and listen; connect again if the connection ends."""
@@ -161,7 +159,7 @@ class ActionProxyLink:
             "pod_deleted": self._view.pod_deleted,
             "epoch": state.epoch,
             "active": state.active_uid,
-            "on_board": self._drove_on_board(),
+            "on_board": self._observer.drove_on_board,
             "is_confirmed": self._gate.unanswered_since is None and own_pod.is_confirmed(self._view),
             "settled": settled(self._notices.status.health, self._fleet.find(state.active_uid)),
             "rules": [

@@ -62,6 +62,7 @@ class World:
     state: GateState = GATE
     health: Health = "Healthy"
     unanswered_since: float | None = None
+    drove_on_board: bool = False
     deleted: set[str] = field(default_factory=set)
     """UIDs of pods whose deletion their watch has not reported."""
     pods: Source = field(default_factory=lambda: Source())
@@ -117,7 +118,8 @@ def socket(tmp_path: Path) -> Path:
 
 
 def link(socket: Path, task_view: View, world: World) -> asyncio.Task[None]:
-    return asyncio.create_task(ActionProxyLink(socket, task_view, world, world, world, world.notices).run())  # type: ignore[arg-type]
+    made = ActionProxyLink(socket, task_view, world, world, world, world.notices, world)  # type: ignore[arg-type]
+    return asyncio.create_task(made.run())
 
 
 async def test_the_proxy_receives_every_change_and_its_report_is_shown_even_if_it_starts_late(socket: Path) -> None:

@@ -6,6 +6,7 @@ import asyncio
 import logging
 import time
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 
 from pydantic import ValidationError
 
@@ -37,6 +38,18 @@ JUDGED_WITHIN = 0.2
 """Maximum seconds that a commit waits after the API server's return for a new judgement of the instance that it fences."""
 
 
+@dataclass(frozen=True)
+class OwnCommit:
+    """The recovery that this monitor committed last."""
+
+    recovery: str = ""
+    """Its id; empty for none."""
+    epoch: int = 0
+    """The epoch of the gate since that commit."""
+    sent: str = ""
+    """The record that was sent with it."""
+
+
 class GateControl:
     """Implements :class:`understudy.failover.interfaces.Gate` for one workload, over its kind of gate."""
 
@@ -56,8 +69,7 @@ class GateControl:
         """The revision of the gate that lets those through whom its record names."""
         self._refused: tuple[int, float] = (-1, 0.0)
         """The revision of the gate whose repair failed last, and when that may be tried again (monotonic seconds)."""
-        self._own: tuple[str, int, str] = ("", 0, "")
-        """The recovery that this monitor committed last: its id, the epoch since that commit, and the record that was sent with it."""
+        self._own = OwnCommit()
         self._changing = asyncio.Lock()
         """Held while this monitor gives the gate a new epoch: it must not take one write of its own for that of another process."""
 
@@ -141,7 +153,7 @@ class GateControl:
         recovery = progress.model_copy(update={"epoch": previous.epoch + 1}).record() if progress else ""
         waits_for = progress.waiting.pool if progress is not None and progress.waiting is not None else ""
         if progress is not None:
-            self._own = (progress.id, previous.epoch, recovery)
+            self._own = OwnCommit(progress.id, previous.epoch, recovery)
         # The list lacks the active pod if an earlier version opened the gate for it.
         let_through = self._pinned(previous, target, self._fleet.find(previous.active_uid), leaking=leaking)
         asked = time.monotonic()
@@ -187,14 +199,14 @@ class GateControl:
                 raise Superseded(f"another process lets {read.admitted or read.active} through")
             record = read or record
             if record.epoch > previous.epoch:
-                self._own = (self._own[0], record.epoch, recovery)
+                self._own = OwnCommit(self._own.recovery, record.epoch, recovery)
                 return self.state
             if read is not None and progress is not None and self._fences_first(record, progress):
                 await _judged_again(progress)
         self._notices.add(GateCommitted(time.monotonic() - asked))
         self._view.gates.put(gate)
         self._probes.committed(previous.epoch + 1)
-        self._own = (self._own[0], previous.epoch + 1, recovery)
+        self._own = OwnCommit(self._own.recovery, previous.epoch + 1, recovery)
         self._crash_points.step("after commit")
         state = self.state
         self._notices.set(gate=GateStatus(epoch=state.epoch, active=state.active))
@@ -213,12 +225,12 @@ class GateControl:
         if found.monitor == progress.monitor:
             # Also if a former process of this pod committed it, and the API server carried that out late.
             if found.epoch == record.epoch:
-                self._own = (progress.id, record.epoch, record.recovery)
+                self._own = OwnCommit(progress.id, record.epoch, record.recovery)
             return True
         if record.active:
             return True
         # This monitor may have carried it out before that other one did.
-        self._own = (progress.id, record.epoch, record.recovery)
+        self._own = OwnCommit(progress.id, record.epoch, record.recovery)
         try:
             await self.commit(None, progress)
         except Superseded as error:
@@ -233,18 +245,18 @@ class GateControl:
         """
         if progress is None or progress.result != "Running":
             return
-        id_, epoch, sent = self._own
-        if id_ == progress.id:
+        own = self._own
+        if own.recovery == progress.id:
             # A commit without an answer may have been carried out. The gate also has the record that was sent if another writer has closed
             # it since and changed nothing else, so the epochs are compared too.
             carried_out = (
-                previous.recovery == sent
-                and (committed := beside(sent)) is not None
+                previous.recovery == own.sent
+                and (committed := beside(own.sent)) is not None
                 and previous.epoch == committed.epoch
             )
-            if previous.epoch != epoch and not carried_out:
+            if previous.epoch != own.epoch and not carried_out:
                 raise Superseded(
-                    f"another process changed the gate to epoch {previous.epoch}; this recovery knew epoch {epoch}"
+                    f"another process changed the gate to epoch {previous.epoch}; this recovery knew epoch {own.epoch}"
                 )
             return
         about = [*progress.failed, progress.target, progress.former, progress.taken_over]
@@ -346,20 +358,25 @@ class GateControl:
         A monitor that succeeds this one would not know of it otherwise. Control does not change, so the epoch stays. Returns whether the
         gate was written. A failed write is repeated by a later call.
         """
-        record, (id_, epoch, sent) = self.record, self._own
-        if record is None or record.recovery or record.active or (id_, epoch) != (progress.id, record.epoch):
+        record, own = self.record, self._own
+        if (
+            record is None
+            or record.recovery
+            or record.active
+            or (own.recovery, own.epoch) != (progress.id, record.epoch)
+        ):
             return False
-        if (committed := beside(sent)) is None or committed.epoch != epoch:
+        if (committed := beside(own.sent)) is None or committed.epoch != own.epoch:
             return False  # its commit is under way
-        recovery = progress.model_copy(update={"epoch": epoch}).record()
+        recovery = progress.model_copy(update={"epoch": own.epoch}).record()
         waits_for = progress.waiting.pool if progress.waiting is not None else ""
         try:
             await self._write_once(self._kind.noting(over=record, recovery=recovery, waits_for=waits_for))
         except FAILURES as error:
-            _logger.warning("could not name recovery %s beside the gate again: %r", id_, error)
+            _logger.warning("could not name recovery %s beside the gate again: %r", own.recovery, error)
             return False
-        self._own = (id_, epoch, recovery)
-        self._report_restored(f"the gate no longer named recovery {id_}: somebody had deleted it")
+        self._own = replace(own, sent=recovery)
+        self._report_restored(f"the gate no longer named recovery {own.recovery}: somebody had deleted it")
         return True
 
     def epoch_problem(self, known: int = 0) -> str:
@@ -403,9 +420,8 @@ class GateControl:
             except FAILURES as error:
                 _logger.warning("could not raise the epoch of the gate: %r", error)
                 return
-        id_, own_epoch, sent = self._own
-        if own_epoch == record.epoch:
-            self._own = (id_, epoch, sent)
+        if self._own.epoch == record.epoch:
+            self._own = replace(self._own, epoch=epoch)
         self._probes.committed(epoch)
         self._notices.set(gate=GateStatus(epoch=epoch, active=record.active))
         self._report_restored(problem)
@@ -421,9 +437,8 @@ class GateControl:
 
     def left_by(self, recovery: str) -> AbandonedRecovery | None:
         """Return the record that a recovery (given by its id) has left at the gate or may still leave there; None if there is none."""
-        id_, epoch, sent = self._own
-        if id_ == recovery:
-            return AbandonedRecovery(id=id_, epoch=epoch, sent=sent)
+        if self._own.recovery == recovery:
+            return AbandonedRecovery(id=recovery, epoch=self._own.epoch, sent=self._own.sent)
         record = self.record
         found = beside(record.recovery) if record is not None else None
         if record is None or found is None or found.id != recovery:
