@@ -51,7 +51,7 @@ class Goal:
     replaced: bool = False
     """Whether an instance has ended it for a newer one."""
     moved: bool = False
-    """Whether the pod of its proxy has ended, and the journal with it, while it was open."""
+    """Whether the pod of its proxy has ended or was replaced, and the journal with it, while it was open."""
     stranded: bool = False
     """Whether only instances that the gate did not name had it then. The next proxy takes goals over from the one in control."""
     ungated: bool = False
@@ -163,7 +163,7 @@ class Clients:
             self.broken(f"goal {what} is aborted")
 
     def moves(self, workload: str) -> None:
-        """The pod of a workload's proxy ends."""
+        """The pod of a workload's proxy ends, or another one replaces it."""
         for goal in self.goals.values():
             if goal.workload == workload and goal.end is None:
                 goal.moved = True

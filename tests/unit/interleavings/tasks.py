@@ -136,6 +136,7 @@ class Tasked(Simulation):
         made = TaskMonitor(process, self.network, self.robots, workload, journal, self.kill, self._broken, pod=pod)
         made.socket = journal.with_suffix(".sock")
         if pod.name not in self.endpoints.pods:
+            self.clients.moves(workload)  # an earlier pod may live on, and reach nobody
             folder = journal.with_suffix(".tasks")
             self.endpoints.pods[pod.name] = Pod(workload, pod.name, folder, made.socket)
             self._start_proxy(pod.name)
