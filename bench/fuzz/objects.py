@@ -318,7 +318,7 @@ def mutated(item: Object, place: float, replaced: Any, how: str) -> Object:
         case "add" if isinstance(owner[key], dict):
             owner[key][str(replaced)[:60]] = replaced
         case "repeat" if isinstance(owner[key], list):
-            owner[key] = owner[key] * 40
+            owner[key] = (owner[key] * 40)[: 2 * values.MANY_ERRORS]
         case _:
             owner[key] = replaced
     return item

@@ -16,7 +16,7 @@ from understudy.trees.languages.procedure_notations import compose
 from understudy.trees.languages.text.flow_values import structure_of
 from understudy.trees.languages.text_files import load_text
 from understudy.trees.source.problems import TreeError
-from understudy.trees.source.value_reader import found_text
+from understudy.trees.source.value_reader import MOST_UNKNOWN, found_text
 
 HEX = "0x" + "f" * 5000
 """Python refuses to write such a number in decimal."""
@@ -162,3 +162,20 @@ def test_a_name_that_ros_would_refuse_is_refused(tree: dict[str, Any]) -> None:
     """ROS refuses a topic of more than 247 characters with an error that ended the monitor, also for the status of an action."""
     with pytest.raises(TreeError, match="a name may have 200 characters"):
         load_health("yaml", json.loads(json.dumps(tree).replace("%s", "x" * 240)), grace=1.0)
+
+
+@pytest.mark.parametrize(
+    "load",
+    [
+        lambda tree: load_health("yaml", tree, grace=1.0),
+        lambda tree: compose("yaml", tree, check=False, path="tree"),
+    ],
+    ids=["health", "procedure"],
+)
+def test_a_tree_with_very_many_unknown_keys_has_few_problems(load: Callable[[Any], Any]) -> None:
+    unknown = {f"key-{number}": number for number in range(5000)}
+    with pytest.raises(TreeError) as raised:
+        load({"sequence": [{"topic": {"name": "/scan", **unknown}}, unknown]})
+    messages = [str(problem) for problem in raised.value.problems]
+    assert len(messages) <= 3 * MOST_UNKNOWN
+    assert f"the tree has more than {MOST_UNKNOWN} unknown keys" in "; ".join(messages)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any, TypeGuard, TypeVar
 
 from understudy.api.durations import seconds
@@ -16,6 +16,10 @@ DEEPEST = 32
 
 MOST = 512
 """Greatest number of nodes in a tree."""
+
+MOST_UNKNOWN = 20
+"""Greatest number of unknown keys of a tree, or of one condition of a procedure, that are each a problem. A mapping may have thousands,
+and each is compared with the known ones."""
 
 LONGEST = 24 * 3600
 """Longest duration in a tree, in seconds."""
@@ -36,7 +40,7 @@ class Reader:
 
     def __init__(self) -> None:
         self.problems: list[Problem] = []
-        self._nodes = 0
+        self._nodes = self._unknown_keys = 0
 
     def problem(self, path: str, message: str) -> None:
         """Note a mistake."""
@@ -98,9 +102,19 @@ class Reader:
     def known(self, value: Mapping[str, Any], keys: Iterable[str], path: str) -> None:
         """Note unknown keys as problems."""
         keys = tuple(keys)
+        for key in self.unknown(value, keys, path):
+            self.problem(f"{path}.{key}", f"unknown key {key!r}{did_you_mean(key, keys)}")
+
+    def unknown(self, value: Mapping[str, Any], known: Collection[str], path: str) -> Iterator[str]:
+        """Yield the unknown keys of a mapping, as long as the tree has not too many; note a problem if it has."""
         for key in value:
-            if key not in keys:
-                self.problem(f"{path}.{key}", f"unknown key {str(key)!r}{did_you_mean(str(key), keys)}")
+            if key in known:
+                continue
+            self._unknown_keys += 1
+            if self._unknown_keys <= MOST_UNKNOWN:
+                yield str(key)
+            elif self._unknown_keys == MOST_UNKNOWN + 1:
+                self.problem(path, f"the tree has more than {MOST_UNKNOWN} unknown keys")
 
     def optional(self, value: Mapping[str, Any], key: str, path: str, read: Read) -> Any:
         """Return a value as ``read`` converts it; None if the key is missing, or if there is a problem."""

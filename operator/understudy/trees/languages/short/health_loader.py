@@ -69,9 +69,9 @@ class _Loader(Reader):
         """Return the builder of one node; ``above`` are the names of its ancestors."""
         if not self.is_node(value, path, depth, KINDS):
             return None
-        for key in value:
-            if key not in KINDS and key != "name" and not ("while" in value and key in WHILE_KEYS):
-                self._unknown_node_key(str(key), path)
+        known = (*KINDS, "name", *(WHILE_KEYS if "while" in value else ()))
+        for key in self.unknown(value, known, path):
+            self._unknown_node_key(key, path)
         name = self.name(value, path)
         kind = self.kind(value, path, KINDS)
         if kind is None:

@@ -169,9 +169,7 @@ class _Loader(StepReader):
         return lambda run, limits: Step(called, work, run, limits)
 
     def _unknown(self, value: Mapping[str, Any], path: str) -> None:
-        for key in value:
-            if key in self._allowed or key == "name":
-                continue
+        for key in self.unknown(value, (*self._allowed, "name"), path):
             if key in (*STEPS, *DECORATORS):
                 self.problem(f"{path}.{key}", f"a check takes no action; {key} belongs in a procedure")
             elif key in REFUSED_PLUGINS:
@@ -179,9 +177,7 @@ class _Loader(StepReader):
             elif key in ("do", "within", "times", "wait"):
                 self.problem(f"{path}.{key}", f"unknown key; {key} belongs inside timeout or retry")
             else:
-                self.problem(
-                    f"{path}.{key}", f"unknown key {str(key)!r}{did_you_mean(str(key), (*self._allowed, 'name'))}"
-                )
+                self.problem(f"{path}.{key}", f"unknown key {key!r}{did_you_mean(key, (*self._allowed, 'name'))}")
 
     # -- composites and decorators ----------------------------------------------------------------------------------
 
