@@ -90,7 +90,7 @@ class StateStore:
             document["source"] = {"uid": source.uid, "restarts": source.restarts, "processes": processes}
         text = json.dumps(document, separators=(",", ":")).encode()
         body = struct.pack(">I", len(text)) + text + b"".join(parts)
-        self._known = self._replace(self._index, _MAGIC + hashlib.sha256(body).digest() + body)
+        self._known = _replace(self._index, _MAGIC + hashlib.sha256(body).digest() + body)
         for name in self._blobs - needed:
             (self._directory / name).unlink(missing_ok=True)
         self._blobs, self._made = needed, True
@@ -102,7 +102,7 @@ class StateStore:
             return len(parts) - 1
         name = f"{hashlib.sha256(data).hexdigest()}.message"
         if name not in self._blobs | needed:
-            self._replace(self._directory / name, data)
+            _replace(self._directory / name, data)
         needed.add(name)
         return name
 
@@ -177,13 +177,6 @@ class StateStore:
         self._blobs.add(name)
         return data
 
-    def _replace(self, path: Path, data: bytes) -> tuple[int, ...]:
-        """Replace a file, and return the new one's identity."""
-        with replaced_file(path, shared=True) as file:  # two monitors may share the volume for a while
-            file.write(data)
-            file.flush()
-            return _identity(os.fstat(file.fileno()))
-
     def _tidy(self) -> None:
         """Remove files that a killed process began to write. The next save removes messages that nothing refers to."""
         try:
@@ -198,6 +191,14 @@ class StateStore:
 
 def _identity(found: os.stat_result) -> tuple[int, ...]:
     return found.st_ino, found.st_mtime_ns, found.st_size
+
+
+def _replace(path: Path, data: bytes) -> tuple[int, ...]:
+    """Replace a file, and return the new one's identity."""
+    with replaced_file(path, shared=True) as file:  # two monitors may share the volume for a while
+        file.write(data)
+        file.flush()
+        return _identity(os.fstat(file.fileno()))
 
 
 def _clock_step(clock: Mapping[str, object]) -> float:
