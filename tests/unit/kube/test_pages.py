@@ -136,6 +136,24 @@ async def test_a_background_list_pauses_after_each_page(only_pods: None, monkeyp
     assert len(store.all(PODS)) == 600
 
 
+async def test_the_decoding_of_a_long_list_lets_others_run(only_pods: None) -> None:
+    server, turns = Server(20), 0
+    for item in server.pods.values():
+        item["spec"] = {"arguments": [[number] for number in range(60_000)]}
+
+    async def other() -> None:
+        nonlocal turns
+        while True:
+            await asyncio.sleep(0)
+            turns += 1
+
+    async with asyncio.TaskGroup() as group:
+        running = group.create_task(other())
+        await ListCycle(server, Store(), ()).resync()
+        running.cancel()
+    assert turns >= 5, "decoding takes 0.4 s of processor time"
+
+
 async def test_a_background_list_yields_to_watches_but_not_forever(
     only_pods: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:

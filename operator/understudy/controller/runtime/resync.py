@@ -12,7 +12,7 @@ import hashlib
 import itertools
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import AsyncIterator, Sequence
 
 from understudy.api import names
 from understudy.controller.observed import health_tree_sources, kube_objects, ownership
@@ -37,6 +37,7 @@ from understudy.kube.client import (
     ApiError,
     Client,
     Object,
+    Part,
     Resource,
 )
 from understudy.kube.gates import registry
@@ -51,6 +52,9 @@ REST, REST_MOST = 4.0, 0.25
 
 The lists of a fleet of 1000 robots are 86 MB. While the API server sends them as fast as it can, other clients wait.
 """
+
+LONG_TURN = 0.02
+"""Processor time in seconds after which the decoding of a part lets others run. A part may have many objects of a megabyte."""
 
 PATIENCE, QUIET = 30.0, 0.5
 """Maximum total wait of such a list while watches report changes, and the quiet time that ends a wait; in seconds.
@@ -112,6 +116,16 @@ def kept(resource: Resource, item: Object) -> bool:
     return resource.plural == PODS.plural and bool(apply.released(item))
 
 
+async def _items(part: Part) -> AsyncIterator[Object]:
+    """Yield the objects of a part, and let others run now and then."""
+    begun = time.thread_time()
+    for item in part.items():
+        yield item
+        if time.thread_time() - begun >= LONG_TURN:
+            await asyncio.sleep(0)
+            begun = time.thread_time()
+
+
 class ListCycle:
     """Lists everything into a store, periodically.
 
@@ -149,7 +163,7 @@ class ListCycle:
             async for part in self._client.parts(resource, namespace, labels=selector):
                 version = int(part.head["metadata"]["resourceVersion"]) if version is None else version
                 digest = hashlib.blake2b(part.body, digest_size=16).digest()
-                found[digest] = known.get(digest) or [slim(resource, item) for item in part.items()]
+                found[digest] = known.get(digest) or [slim(resource, item) async for item in _items(part)]
                 if gently:
                     await self._yield_to_others(time.monotonic() - started)
                     started = time.monotonic()
