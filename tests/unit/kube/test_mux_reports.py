@@ -52,11 +52,17 @@ def test_a_report_that_answers_no_recent_order_does_not_count(reports: MuxReport
     [
         (Token(1000.0, 9), "w-2", 9),
         (Token(1000.0, 5), "w-2", 5),
-        (Token(1000.0, 5, 1), "w-2", 0),
+        (Token(1000.0, 5, 1), "w-2", 5),
         (Token(1000.0, 4), "w-2", 0),
         (Token(2000.0, 9), "w-2", 0),
     ],
-    ids=["newer", "used before", "a switch of its own", "older, so the disk is full", "of another workload"],
+    ids=[
+        "newer",
+        "used before",
+        "used before, and switched since",
+        "older, so the disk is full",
+        "of another workload",
+    ],
 )
 def test_an_epoch_that_the_mux_refuses_for_another_one_is_known(
     reports: MuxReports, token: Token, source: str, expected: int
