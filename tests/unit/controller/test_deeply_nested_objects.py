@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import ssl
 from collections.abc import AsyncIterator
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from kopf._cogs.clients import api
 from kopf._cogs.configs import diffbase, progress
 
 from tests.support.nested_values import DEPTHS, PLACE, Answers, api_server, list_of, text
@@ -19,6 +21,7 @@ from understudy.controller.runtime import kopf_handlers
 from understudy.controller.runtime.resync import ListCycle
 from understudy.controller.status import policy_status
 from understudy.kube.client import POLICIES, POOLS, WORKLOADS, Access, Client, Object, Part, Resource
+from understudy.kube.decoding import LONG
 
 TREE = {"sequence": PLACE}
 
@@ -110,7 +113,7 @@ async def test_the_watches_by_kopf_report_every_object(levels: int) -> None:
     deep, other = text(DEEP["spec.monitoring.yaml"][1], levels), text(world.policy("Restart"), 0)
     later = text(world.policy("Restart", name="later", tree=TREE), levels)
     last = text(world.policy("Restart", name="last"), 0)
-    assert await watched([deep, other], [later, last]) == {"deep", "policy", "later", "last"}
+    assert set(await watched([deep, other], [later, last])) == {"deep", "policy", "later", "last"}
 
 
 async def test_the_watches_by_kopf_copy_no_object(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -118,7 +121,44 @@ async def test_the_watches_by_kopf_copy_no_object(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(progress, "copy", SimpleNamespace(deepcopy=only_empty))
     monkeypatch.setattr(diffbase, "copy", SimpleNamespace(deepcopy=only_empty))
     listed, later = (text(world.policy("Restart", name=name), 0) for name in ("listed", "later"))
-    assert await watched([listed], [later]) == {"listed", "later"}
+    assert set(await watched([listed], [later])) == {"listed", "later"}
+
+
+async def test_kopf_decodes_no_long_text(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It collected garbage meanwhile, and the event loop did nothing else for 0.1 s."""
+    decoded = []
+
+    def loads(line: str) -> Any:
+        decoded.append(len(line))
+        return json.loads(line)
+
+    monkeypatch.setattr(api, "json", SimpleNamespace(loads=loads))
+    long = world.policy("Restart", name="long", tree={"sequence": [[number] for number in range(50_000)]})
+    seen = await watched([], [text(long, 0), text(world.policy("Restart", name="last"), 0)])
+    assert seen == {"long": long, "last": world.policy("Restart", name="last")}
+    assert decoded
+    assert max(decoded) < LONG
+
+
+def line(name: str, version: int, *, kind: str = "MODIFIED", values: int = 50_000) -> str:
+    item = world.policy("Restart", name=name, tree={"sequence": [version] * values})
+    return json.dumps({"type": kind, "object": item})
+
+
+def test_of_several_versions_of_a_long_object_the_newest_is_reported_once() -> None:
+    found = kopf_handlers.LongObjects()
+    older, newer = (json.loads(found.shortened(line("long", version)))["object"] for version in (1, 2))
+    reported = found.whole(older)
+    assert reported is not None
+    assert reported["spec"]["monitoring"]["yaml"]["sequence"][0] == 2
+    assert found.whole(newer) is None
+
+
+def test_a_long_object_that_became_short_is_reported_as_it_is() -> None:
+    found = kopf_handlers.LongObjects()
+    found.shortened(line("long", 1))
+    short = json.loads(found.shortened(line("long", 2, values=1)))["object"]
+    assert found.whole(short) == short
 
 
 def only_empty(value: Any) -> Any:
@@ -126,15 +166,15 @@ def only_empty(value: Any) -> Any:
     return {}
 
 
-async def watched(listed: list[str], events: list[str]) -> set[str]:
-    """The names of the policies that kopf reports within 5 s, if the API server lists some and then sends events of others."""
+async def watched(listed: list[str], events: list[str]) -> dict[str, Object]:
+    """The policies by name that kopf reports within 5 s, if the API server lists some and then sends events of others."""
     kopf_handlers.quiet()
-    answers, seen, over = Answers(), set[str](), asyncio.Event()
+    answers, seen, over = Answers(), dict[str, Object](), asyncio.Event()
     answers.lists[POLICIES.plural] = list_of("FailurePolicy", listed)
     answers.events[POLICIES.plural] = [f'{{"type":"ADDED","object":{item}}}' for item in events]
 
     def see(resource: Resource, item: Object, gone: bool) -> None:
-        seen.add(item["metadata"]["name"])
+        seen[item["metadata"]["name"]] = item
         if len(seen) == len(listed) + len(events):
             over.set()
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import inspect
 import itertools
+import json
 import logging
 from collections.abc import AsyncIterator, Callable, Sequence
 from typing import Any
@@ -20,7 +21,7 @@ from aiohttp.connector import Connection
 from kopf._cogs.clients import scanning
 
 from understudy.kube.client import PAGE, POLICIES, POOLS, WORKLOADS, Access, Object, Resource
-from understudy.kube.decoding import bounded, decode
+from understudy.kube.decoding import LONG, bounded, decode
 
 WATCHED = (WORKLOADS, POLICIES, POOLS)
 """Understudy's own kinds. watches.py has the other watched resources."""
@@ -30,12 +31,15 @@ See = Callable[[Resource, Object, bool], None]
 
 def registry(see: See, access: Access) -> kopf.OperatorRegistry:
     """Return the handlers. Each of them only passes on the change (resource, object, whether it was deleted)."""
-    made = kopf.OperatorRegistry()
+    made, long_objects = kopf.OperatorRegistry(), LongObjects()
 
     def on(resource: Resource) -> None:
         @kopf.on.event(resource.group, resource.version, resource.plural, registry=made, id="see")
         async def handle(event: Any, **_: Any) -> None:
-            see(resource, dict(event["object"]), event["type"] == "DELETED")
+            gone = event["type"] == "DELETED"
+            found = long_objects.whole(event["object"])
+            if found is not None or gone:
+                see(resource, dict(event["object"]) if found is None else found, gone)
 
     for resource in WATCHED:
         on(resource)
@@ -46,7 +50,7 @@ def registry(see: See, access: Access) -> kopf.OperatorRegistry:
     async def login(**_: Any) -> Any:
         if next(sessions) and access.plugin is not None:  # kopf asks again after a 401
             access.plugin.reject()
-        return _session(access, await access.bearer())
+        return _session(access, await access.bearer(), long_objects)
 
     @kopf.on.cleanup(registry=made)
     async def end_scans(**_: Any) -> None:
@@ -63,31 +67,73 @@ def registry(see: See, access: Access) -> kopf.OperatorRegistry:
 _SCANS = {found.__code__ for found in vars(scanning).values() if inspect.iscoroutinefunction(found)}
 
 
-def _session(access: Access, token: str | None) -> kopf.AiohttpSession:
+def _session(access: Access, token: str | None, long_objects: LongObjects) -> kopf.AiohttpSession:
     """Return a session with the operator's credentials."""
     headers = {"Authorization": f"Bearer {token}", "User-Agent": "understudy-operator"} if token else {}
     connector = aiohttp.TCPConnector(ssl=access.context, limit=0)
-    session = aiohttp.ClientSession(connector=connector, headers=headers, response_class=_Answer)
+    session = aiohttp.ClientSession(connector=connector, headers=headers, response_class=_answers(long_objects))
     return kopf.AiohttpSession(server=access.server, aiohttp_session=session)
 
 
-class _Answer(aiohttp.ClientResponse):
-    """An answer of the API server without values that are nested too deeply: they would end kopf's decoding, and so kopf."""
+def _answers(long_objects: LongObjects) -> type[aiohttp.ClientResponse]:
+    class Answer(aiohttp.ClientResponse):
+        """An answer of the API server without values that are nested too deeply: they would end kopf's decoding, and so kopf."""
 
-    async def start(self, connection: Connection) -> aiohttp.ClientResponse:
-        await super().start(connection)
-        self.content = _Lines(self.content)  # type: ignore[assignment]
-        return self
+        async def start(self, connection: Connection) -> aiohttp.ClientResponse:
+            await super().start(connection)
+            self.content = _Lines(self.content, long_objects)  # type: ignore[assignment]
+            return self
 
-    async def json(self, *, loads: Callable[[str], Any] = decode, **options: Any) -> Any:
-        return await super().json(loads=loads, **options)
+        async def json(self, *, loads: Callable[[str], Any] = decode, **options: Any) -> Any:
+            return await super().json(loads=loads, **options)
+
+    return Answer
+
+
+class LongObjects:
+    """Keeps the whole content of objects with long texts, of which kopf receives the metadata only.
+
+    The depth of a long text is only known once it is decoded. kopf would decode it again, with collections of garbage meanwhile.
+    """
+
+    def __init__(self) -> None:
+        self._latest: dict[str, Object] = {}
+        """By UID, the objects that the handler has not received yet."""
+
+    def shortened(self, line: str) -> str:
+        """Return a line of a watch as kopf decodes it. Raises ValueError."""
+        if len(line) < LONG:
+            return bounded(line)
+        event = decode(line)
+        item = event["object"]
+        metadata = item.get("metadata") or {}
+        if "uid" not in metadata:  # an error
+            return bounded(line)
+        self._latest[metadata["uid"]] = item
+        kept = {key: metadata[key] for key in _IDENTITY if key in metadata}
+        return json.dumps({**event, "object": {**_kind(item), _SHORTENED: True, "metadata": kept}})
+
+    def whole(self, item: kopf.RawBody) -> Object | None:
+        """Return the object that kopf has received; None if this or a newer version of it was returned before."""
+        latest = self._latest.pop(item["metadata"].get("uid", ""), None)
+        return latest if _SHORTENED in item else dict(item)
+
+
+_SHORTENED = "shortened"
+"""Marks an object without its content. Objects of the API server have no such field at their top."""
+
+_IDENTITY = ("name", "namespace", "uid", "resourceVersion")
+
+
+def _kind(item: Object) -> Object:
+    return {key: item[key] for key in ("apiVersion", "kind") if key in item}
 
 
 class _Lines:
     """The content of an answer. kopf reads the events of a watch from it, which are lines."""
 
-    def __init__(self, content: aiohttp.StreamReader) -> None:
-        self._content = content
+    def __init__(self, content: aiohttp.StreamReader, long_objects: LongObjects) -> None:
+        self._content, self._long_objects = content, long_objects
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._content, name)
@@ -97,8 +143,8 @@ class _Lines:
         async for chunk in self._content.iter_chunked(size):
             *lines, rest = (rest + chunk).split(b"\n")
             for line in lines:
-                yield bounded(line.decode()).encode() + b"\n"
-        yield bounded(rest.decode()).encode()
+                yield self._long_objects.shortened(line.decode()).encode() + b"\n"
+        yield self._long_objects.shortened(rest.decode()).encode()
 
 
 class _NoDifferences(kopf.DiffBaseStorage):
