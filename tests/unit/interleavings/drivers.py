@@ -135,12 +135,14 @@ class Drivers:
         for says in monitors:
             lasts = now - max(since, says.unhindered_since) - 2 * max(found.period for found in self._heard(robot))
             known = says.knows & frozenset(self.knew(says.who, now - NOTICED))
-            is_stranger = any(found.uid not in known for found in self._heard(robot))
-            may_say = {"False", "Unknown"} if is_stranger or not says.has_gate else {"False"}
+            strangers = [found for found in self._heard(robot) if found.uid not in known]
+            may_say = {"False", "Unknown"} if strangers or not says.has_gate else {"False"}
             if lasts >= NOTICED and says.health == "Healthy":
                 self._broken(f"{says.who} says that {robot} is Healthy, and {both} drive it for {lasts:.1f} s")
             if says.sole not in may_say and min(lasts, now - says.recovered_at) >= NOTICED:
                 self._broken(f"{says.who} says SoleDriver={says.sole}, and {both} drive {robot} for {lasts:.1f} s")
+            if not all(self._ends(found) for found in strangers):
+                continue  # it may be a tool for this monitor, and no request would end it
             for found in self._heard(robot):
                 can_end = now - max(since, says.acts_since, self._endable_since(found))
                 if can_end >= ENDED:
