@@ -29,6 +29,7 @@ from understudy.monitor.act.recovery.recovery_runner import ENDS
 from understudy.monitor.act.stage import ActStage
 from understudy.monitor.decide.initial_activation import Candidates
 from understudy.monitor.decide.stage import DecideStage, Resolution
+from understudy.monitor.judge.reassessment import fences_a_failure
 from understudy.monitor.judge.sole_driver import PERIOD
 from understudy.monitor.judge.stage import Judgement, JudgeStage
 from understudy.monitor.notices import Notices
@@ -217,14 +218,24 @@ class MonitorLoop:
             self.decide.limits.retries.note(done)
 
     async def _continue(self, interrupted: Progress) -> None:
-        """Continue a recovery that another monitor began, unless that has changed nothing yet and the instance is healthy again."""
-        policy = self._view.policy
-        if policy is not None and self._gate.would_fence(interrupted):
+        """Continue a recovery that another monitor began, unless that has changed nothing yet and the instance is healthy again.
+
+        An instance that was given up as too slow may drive by now. Then its attempt is continued.
+        """
+        policy, fenced = self._view.policy, None
+        late = interrupted_recovery.late_attempt(self._gate, interrupted)
+        if late is not None:
+            fenced = late.target
+        elif fences_a_failure(interrupted) and self._gate.would_fence(interrupted):
+            fenced = interrupted.failed[0]
+        if policy is not None and fenced is not None:
             self.act.get_ready(policy)
-            if await self.judge.reassessment.hears(interrupted, SETTLE):
-                words = f"{interrupted.failed[0].name} has been healthy again since the monitor ended that wanted to fence it"
-                self.conclude(self.act.recoveries.abandoned(interrupted, NoLongerNeeded(words)))
-                return
+            if await self.judge.reassessment.hears(fenced, SETTLE):
+                if late is None:
+                    words = f"{fenced.name} has been healthy again since the monitor ended that wanted to fence it"
+                    self.conclude(self.act.recoveries.abandoned(interrupted, NoLongerNeeded(words)))
+                    return
+                interrupted = late
         await self.carry_out(interrupted)
 
     async def _take_over(self, progress: Progress) -> bool:

@@ -36,7 +36,7 @@ class Reassessment:
     @asynccontextmanager
     async def during(self, progress: Progress) -> AsyncIterator[None]:
         """Observe the failed instance until the recovery has fenced it."""
-        if not _fences_a_failure(progress) and progress.taken_over is None:
+        if not fences_a_failure(progress) and progress.taken_over is None:
             yield
             return
         observing = asyncio.create_task(self._observe(progress, time.monotonic()))
@@ -45,11 +45,9 @@ class Reassessment:
         finally:
             observing.cancel()
 
-    async def hears(self, progress: Progress, within: float) -> bool:
-        """Listen for ``within`` seconds. Returns whether the instance that an earlier monitor decided to fence is healthy."""
-        if not _fences_a_failure(progress):
-            return False
-        failed, began = progress.failed[0], time.monotonic()
+    async def hears(self, failed: PodIdentity, within: float) -> bool:
+        """Listen for ``within`` seconds. Returns whether an instance that an earlier monitor decided to fence is healthy."""
+        began = time.monotonic()
         while (age := time.monotonic() - began) < within:
             self._observer.drain(self._fleet.of_workload(), failed.name)
             now = time.time()
@@ -88,7 +86,7 @@ class Reassessment:
         return self._unseen_restart.onset(pod, time.time()) is None
 
 
-def _fences_a_failure(progress: Progress) -> bool:
+def fences_a_failure(progress: Progress) -> bool:
     """Whether a recovery begins by fencing an instance that failed, and by nothing else."""
     nothing_failed = progress.planned or progress.switchover is not None or bool(progress.follows)
     return not nothing_failed and progress.taken_over is None and bool(progress.failed)

@@ -172,9 +172,33 @@ async def test_a_monitor_that_continues_a_recovery_listens_before_it_fences(
     Journal(tmp_path / "recovery.json").save(decided)
     monitor.answers(True)
     monitor.observer.health = verdict
+    await resumed(monitor)
+    assert monitor.fenced == is_fenced
+    assert ("RecoveryNotNeeded" in monitor.objects.notices.reasons) != is_fenced
+
+
+@pytest.mark.parametrize(("verdict", "is_fenced"), [(HEALTHY, False), (FAILED, True)])
+async def test_a_monitor_that_continues_a_recovery_listens_to_the_instance_that_was_too_slow(
+    monitor: CutOff, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verdict: Verdict, is_fenced: bool
+) -> None:
+    """The monitor that gave it up ended before it fenced it, and it may drive by now (seed 559501)."""
+    monkeypatch.setattr(loop, "SETTLE", 0.2)
+    first, slow = PodIdentity(name="w-0", uid="uid-0"), PodIdentity(name=ACTIVE.name, uid=ACTIVE.uid)
+    attempt = Progress.begin("no /cmd_vel", last_healthy=time.time() - 20, detected=time.time() - 19, failed=[first])
+    attempt.target, attempt.strategy = slow, "Restart"
+    monitor.objects.put_gate(GateState(epoch=5, active=slow.name, active_uid=slow.uid, recovery=attempt))
+    given_up = attempt.model_copy(deep=True)
+    given_up.fail_target()
+    Journal(tmp_path / "recovery.json").save(given_up)
+    monitor.answers(True)
+    monitor.observer.health = verdict
+    await resumed(monitor)
+    assert monitor.fenced == is_fenced
+
+
+async def resumed(monitor: CutOff) -> None:
+    """Let a new monitor continue the recovery for a moment."""
     resuming = asyncio.create_task(monitor.loop.resume())
     await asyncio.sleep(0.8)
     resuming.cancel()
     await asyncio.gather(resuming, return_exceptions=True)
-    assert monitor.fenced == is_fenced
-    assert ("RecoveryNotNeeded" in monitor.objects.notices.reasons) != is_fenced

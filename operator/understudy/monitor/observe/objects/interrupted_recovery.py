@@ -38,6 +38,18 @@ def interrupted(
     return progress.model_copy(update={"resumed": True}, deep=True)
 
 
+def late_attempt(gate: Gate, progress: Progress) -> Progress | None:
+    """Return an interrupted recovery as it was when it put the instance in control that it gave up since, and that is not fenced yet.
+
+    None if there is no such instance. The journal is written before the next commit, so the gate has the earlier record.
+    """
+    committed, active = gate.state.recovery, gate.state.active_uid
+    if committed is None or committed.id != progress.id or committed.target is None:
+        return None
+    is_given_up = committed.target.uid == active and progress.has_failed(active)
+    return committed.model_copy(update={"resumed": True}, deep=True) if is_given_up else None
+
+
 def unconcluded(gate: Gate, published: PublishedStatus, given_up: Collection[str] = ()) -> Progress | None:
     """Return the recovery in the gate's record, if no monitor has recorded its end; None if there is none.
 
