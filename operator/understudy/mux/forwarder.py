@@ -225,6 +225,7 @@ class Forwarder:
                 control.on_board,
                 self._safe_sent,
                 self._identity,
+                control.ordered,
             ),
             self._keys,
         )

@@ -48,11 +48,12 @@ def test_a_report_that_answers_no_recent_order_does_not_count(reports: MuxReport
 
 
 @pytest.mark.parametrize(
-    ("token", "source", "expected"),
+    ("token", "named", "expected"),
     [
         (Token(1000.0, 9), "w-2", 9),
         (Token(1000.0, 5), "w-2", 5),
-        (Token(1000.0, 5, 1), "w-2", 5),
+        (Token(1000.0, 5, 1), "", 5),
+        (Token(1000.0, 5, 1), "w-1", 0),
         (Token(1000.0, 4), "w-2", 0),
         (Token(2000.0, 9), "w-2", 0),
     ],
@@ -60,16 +61,17 @@ def test_a_report_that_answers_no_recent_order_does_not_count(reports: MuxReport
         "newer",
         "used before",
         "used before, and switched since",
+        "a switch of its own, and the disk is full",
         "older, so the disk is full",
         "of another workload",
     ],
 )
 def test_an_epoch_that_the_mux_refuses_for_another_one_is_known(
-    reports: MuxReports, token: Token, source: str, expected: int
+    reports: MuxReports, token: Token, named: str, expected: int
 ) -> None:
-    reports.add(replace(REPORT, token=token, source=source))
+    reports.add(replace(REPORT, token=token, source="w-2", ordered=named))
     assert reports.carried_out(5) == 0, "it refuses nothing"
-    reports.add(replace(REPORT, token=token, source=source, refused="the order is refused"))
+    reports.add(replace(REPORT, token=token, source="w-2", ordered=named, refused="the order is refused"))
     assert reports.carried_out(5) == expected
     assert reports.carried_out(6) == 0, "no order of the present gate is answered yet"
 

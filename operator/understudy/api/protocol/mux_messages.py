@@ -173,6 +173,8 @@ class Report:
     """Number of safe commands that it has sent since it began."""
     mux: str = ""
     """The identity of this mux: the same after a restart, unless its volume is gone."""
+    ordered: str = ""
+    """Whom the newest order names that was carried out; empty for nobody. The mux may have switched since."""
 
 
 def sealed(message: Mapping[str, Any], key: bytes) -> str:
@@ -243,6 +245,7 @@ def report_text(report: Report, keys: MuxKeys) -> str:
         "onBoard": report.on_board,
         "safeSent": report.safe_sent,
         "mux": report.mux,
+        "ordered": report.ordered,
     }
     return sealed(message, keys.reports)
 
@@ -265,6 +268,7 @@ def read_report(text: str, keys: MuxKeys) -> Report:
             message["onBoard"],
             message["safeSent"],
             message["mux"],
+            message["ordered"],
         )
     except (KeyError, TypeError, ValueError) as error:
         raise ProtocolError(f"the report is of another version: {error!r}") from error

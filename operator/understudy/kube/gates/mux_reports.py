@@ -219,9 +219,9 @@ class MuxReports:
         if found is None or self.is_silent or self._ordered is None or self._nonces.get(found.report.nonce) != epoch:
             return 0
         (_, order), report = self._ordered, found.report
-        # An order of the epoch that was carried out is refused only if that named another instance. The mux may have switched since.
-        knows = report.token.epoch >= epoch and report.token.workload_created == order.workload_created
-        return report.token.epoch if report.refused and order.epoch == epoch and knows else 0
+        was_used = report.token.epoch == epoch and report.ordered != order.source
+        is_newer = report.token.epoch > epoch and report.token.workload_created == order.workload_created
+        return report.token.epoch if report.refused and order.epoch == epoch and (was_used or is_newer) else 0
 
     def own_switch(self, active: str) -> base.OwnSwitch | None:
         """Return the switch of the mux's own to another instance than the active one; None if there is none.
