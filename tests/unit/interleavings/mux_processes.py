@@ -146,6 +146,8 @@ class Mux:
         """When a sample of an instance, given by its name, last arrived at the present process (virtual seconds)."""
         self.last_known: dict[str, float] = {}
         """The same, of writers that it had discovered by then."""
+        self.taken: dict[str, float] = {}
+        """When the present process last took a sample of an instance: later than it arrived, if the process had no processor."""
         self._known: dict[bytes, str] = {}
         self._ready: set[str] = set()
         """What has arrived for a process that has not looked yet."""
@@ -183,7 +185,7 @@ class Mux:
         loop = self._network.loop
         process = self.process = loop.process(name)
         self.began = loop.time()
-        self.last, self.last_known, self._known, self._heard, self._ready = {}, {}, {}, set(), set()
+        self.last, self.last_known, self.taken, self._known, self._heard, self._ready = {}, {}, {}, {}, set(), set()
         follow(process, self._run(process))
 
     def end(self) -> None:
@@ -259,6 +261,11 @@ class Mux:
             ready.reverse()
         for one in ready:
             if one == "samples":
+                self.taken |= {
+                    self._known[sample.writer]: self._network.loop.time()
+                    for sample in self._route.queue
+                    if sample.writer in self._known
+                }
                 self._work.done()
                 continue
             for text in self._exchange.received():
