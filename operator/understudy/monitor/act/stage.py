@@ -110,6 +110,7 @@ class ActStage:
             return
         instances = [i for i in self._cluster.pods.of_workload() if i.uid != self.switchovers.preparing]
         self._standbys.housekeeping(instances, policy, settings, paused=paused)
+        self.garbage.remember()
         if not paused:
             self.garbage.housekeeping(instances, time.monotonic())
 

@@ -7,7 +7,9 @@ from dataclasses import replace
 from typing import Any
 
 import aiohttp
+import pytest
 
+from understudy.failover.abandoned import ended
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.monitor.act.instances.garbage_collection import FAILED_FOR, LEFT_FOR, GarbageCollection
@@ -123,3 +125,19 @@ async def test_a_failed_pod_is_remembered_beyond_the_next_recovery() -> None:
     cluster.state = replace(cluster.state, recovery=recovered_from("uid-4"))
     await look(cluster, DRIVES, STANDBY, seconds=FAILED_FOR, garbage=garbage)
     assert cluster.deleted == ["w-1"]
+
+
+@pytest.mark.parametrize(("active", "deleted"), [(DRIVES, ["w-1"]), (STANDBY, [])], ids=["another", "the former one"])
+async def test_the_former_instance_of_a_switchover_that_a_fence_ended_is_deleted_once_another_one_is_in_control(
+    active: Instance, deleted: list[str]
+) -> None:
+    """It may have failed meanwhile, and nobody would notice (seed 1185758)."""
+    cluster: Any = Cluster()
+    switchover = Progress(reason="requested", switchover="Failover", former=PodIdentity(name="w-1", uid="uid-3"))
+    garbage = GarbageCollection(cluster, cluster, cluster)
+    cluster.state = GateState(epoch=4, recovery=ended(switchover))
+    garbage.remember()  # during the pause
+    cluster.state = GateState(epoch=5, active=active.name, active_uid=active.uid)
+    cluster.named = active.uid
+    await look(cluster, DRIVES, STANDBY, seconds=FAILED_FOR, garbage=garbage)
+    assert cluster.deleted == deleted

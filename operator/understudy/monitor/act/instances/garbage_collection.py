@@ -41,10 +41,13 @@ class GarbageCollection:
         self._deleting: asyncio.Task[None] | None = None
 
     def remember(self) -> None:
-        """Note the pods that failed in the recovery in the gate's record, before the next recovery replaces that record."""
+        """Note the pods that the recovery in the gate's record replaced, before the next commit replaces that record.
+
+        If a user fenced the robot during a planned switchover, the former instance is one of them, unless it gets control again.
+        """
         recovery = self._gate.state.recovery
         if recovery is not None:
-            self._failed |= {pod.uid: pod for pod in recovery.replaced}
+            self._failed |= {pod.uid: pod for pod in (*recovery.failed, recovery.former) if pod is not None}
 
     def add(self, pod: PodIdentity) -> None:
         """Add a pod that failed, or that was prepared and is not needed."""
