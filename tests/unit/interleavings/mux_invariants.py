@@ -166,7 +166,8 @@ class MuxInvariants(Invariants):
         self._names[workload][record.epoch].add(record.active)
 
     def _heard_since(self, found: Running) -> float:
-        joined_at = self._robots.now if self._robots.network.apart else self.mine.joined_at
+        is_unheard = bool(self._robots.network.apart) or found.uid in self.mine.unheard
+        joined_at = self._robots.now if is_unheard else self.mine.joined_at
         return max(super()._heard_since(found), joined_at)
 
     # -- what muxes do ----------------------------------------------------------------------------------------------

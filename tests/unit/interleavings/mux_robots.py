@@ -32,7 +32,7 @@ class MuxRobots(Robots):
     unheard: set[str] = field(default_factory=set)
     """UIDs of instances that no monitor hears."""
     joined_at: float = -1.0
-    """When monitors that had heard no pod last heard all again (Unix seconds)."""
+    """When monitors that had not heard a pod, or no pod at all, last heard it again (Unix seconds)."""
     listeners: dict[str, list[Listener]] = field(default_factory=dict)
     """The monitors', by workload."""
     _emitting: set[str] = field(default_factory=set)
@@ -71,5 +71,7 @@ class MuxRobots(Robots):
     def set_cut(self, uid: str, of: set[str], so: bool) -> None:
         """Cut an instance off from its mux or from all monitors, or join it again."""
         (of.add if so else of.discard)(uid)
+        if of is self.unheard:
+            self.joined_at = self.now
         if (found := self.running.get(uid)) is not None:
             self.route(found.robot)
