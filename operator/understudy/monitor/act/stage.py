@@ -110,8 +110,9 @@ class ActStage:
             return
         instances = [i for i in self._cluster.pods.of_workload() if i.uid != self.switchovers.preparing]
         self._standbys.housekeeping(instances, policy, settings, paused=paused)
-        self.garbage.remember()
-        if not paused:
+        if paused:
+            self.garbage.remember()
+        else:
             self.garbage.housekeeping(instances, time.monotonic())
 
     def conclude(self, outcome: Outcome) -> None:

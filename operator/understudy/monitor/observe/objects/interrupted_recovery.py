@@ -39,9 +39,9 @@ def interrupted(
 
 
 def late_attempt(gate: Gate, progress: Progress) -> Progress | None:
-    """Return an interrupted recovery as it was when it put the instance in control that it gave up since, and that is not fenced yet.
+    """Return an interrupted recovery as of its last commit, if that put an instance in control that was given up since.
 
-    None if there is no such instance. The journal is written before the next commit, so the gate has the earlier record.
+    The journal is written before the next commit fences that instance, so the gate has the earlier record. None otherwise.
     """
     committed, active = gate.state.recovery, gate.state.active_uid
     if committed is None or committed.id != progress.id or committed.target is None:
