@@ -247,7 +247,7 @@ class MuxInvariants(Invariants):
         is_undiscovered = before.source in mux.last_known or now - mux.began >= DISCOVERY
         last = mux.last_known if after.on_board or is_undiscovered else mux.last
         silent = now - max(last.get(before.source, received.since), received.since)
-        heard = now - mux.taken.get(after.source, 0.0)
+        heard = now - max(mux.last.get(after.source, 0.0), mux.taken.get(after.source, 0.0))
         if silent < deadline - MOMENT:
             self._broken(f"{mux.process} replaces {before.source}, which it has heard {silent:.3f} s ago")
         if heard > deadline + MOMENT:
