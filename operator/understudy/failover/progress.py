@@ -164,6 +164,11 @@ class Progress(Model):
         """Whether the policy's budget or a pause holds it: the failed pod is fenced, and nothing else is done."""
         return "held" in self.moments and "released" not in self.moments
 
+    def another(self, recorded: Progress | None) -> Progress | None:
+        """Return the recovery beside a gate if it is another one that has not ended; None otherwise."""
+        is_another = recorded is not None and recorded.id != self.id and recorded.result == "Running"
+        return recorded if is_another else None
+
     def has_failed(self, uid: str) -> bool:
         """Return whether a pod failed in this recovery."""
         return any(pod.uid == uid for pod in self.failed)

@@ -103,8 +103,8 @@ async def close(progress: Progress, context: StrategyContext) -> None:
     while not context.gate.exists:  # noqa: ASYNC110 - each kind of gate would need an event for what nobody does twice
         await asyncio.sleep(MOMENT)
     state = context.gate.state
-    if not state.closed or state.epoch == progress.open_at:
-        await context.gate.commit(None, progress)
+    if not state.closed or state.epoch == progress.open_at or progress.another(state.recovery):
+        await context.gate.commit(None, progress)  # it decides whether another recovery may be ended
     progress.moments.setdefault("fenced", context.clock())
 
 

@@ -6,7 +6,8 @@ import asyncio
 import copy
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import aiohttp
 import pytest
@@ -23,6 +24,8 @@ from understudy.failover.abandoned import AbandonedRecovery
 from understudy.failover.interfaces import GateState, Instance, NoLongerNeeded, Superseded
 from understudy.failover.pool_queue import Waiter
 from understudy.failover.progress import PodIdentity, Progress
+from understudy.failover.strategies import steps
+from understudy.failover.strategies.base import StrategyContext
 from understudy.kube.client import NETWORK_POLICIES, WORKLOADS, ApiError, Object
 from understudy.kube.gates.base import GateRecord, OwnSwitch, Reach
 from understudy.kube.gates.kinds.network_policy import GATE
@@ -103,6 +106,18 @@ async def test_a_commit_that_ends_the_recovery_of_another_monitor_keeps_the_pods
     await gate.commit(None, third)
     await gate.commit(STANDBY, following := recovery())
     assert [pod.name for pod in following.failed] == [FAILED.name, THIRD.name], "not the one that it lets through"
+
+
+async def test_a_recovery_is_superseded_if_that_of_another_monitor_has_closed_the_gate_since_it_began(
+    client: MemoryClient, found: ClusterView, tmp_path: Path
+) -> None:
+    """It was decided long ago if its monitor was cut off from the API server, and would restore what it kept until then."""
+    gate, progress = await open_gate(client, found, tmp_path, FAILED), recovery()
+    progress.open_at = gate.state.epoch
+    await gate.commit(None, other := recovery())
+    with pytest.raises(Superseded, match=f"recovery {other.id}"):
+        await steps.close(progress, cast("StrategyContext", SimpleNamespace(gate=gate)))
+    assert (gate.state.recovery or progress).id == other.id
 
 
 async def test_a_commit_keeps_the_pods_that_failed_in_another_monitors_part_of_the_same_recovery(

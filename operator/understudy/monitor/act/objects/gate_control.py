@@ -264,6 +264,9 @@ class GateControl:
             raise Superseded(
                 f"another process changed the gate, which now admits {previous.active}; this recovery is for another instance"
             )
+        was_open = progress.open_at is not None and previous.epoch != progress.open_at
+        if was_open and not previous.active and (other := progress.another(beside(previous.recovery))) is not None:
+            raise Superseded(f"recovery {other.id} has closed the gate since this recovery began")
 
     def _pinned(self, over: GateRecord, *let_through: Instance | None, leaking: Sequence[PinnedPod] = ()) -> str:
         """Return the pods that the gate let through of late, with these and those that leak, as JSON for its record; empty for none.
