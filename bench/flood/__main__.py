@@ -203,6 +203,7 @@ def main() -> int:
             bench.without(options.quiet)
             results[f"{name}, {cpu}"] = bench.run(VARIANTS[name], cpu)
     except (Failed, Late, KeyboardInterrupt) as error:
+        print(error, file=sys.stderr)
         report.note("ended early", f"{error!r}"[:2000])
     finally:
         for one in (kubectl, elsewhere):

@@ -14,7 +14,7 @@ from pathlib import Path
 from testcluster.local import layout as layouts
 from testcluster.local import network, processes
 from testcluster.local import node as nodes
-from tests.e2e.kubectl import Failed, Kubectl, Object
+from tests.e2e.kubectl import Failed, Kubectl, Object, is_ready
 from tests.e2e.scenario import eventually
 
 _PROGRAM = Path(__file__).parents[2] / "scripts" / "cluster"
@@ -79,11 +79,6 @@ def stopping(pids: Sequence[int], stopped: float = 0.0, running: float = 0.0) ->
         if stopped:
             worker.join()
         each(signal.SIGCONT)
-
-
-def is_ready(node: Object) -> bool:
-    """Whether Kubernetes counts a node as ready."""
-    return any((c["type"], c["status"]) == ("Ready", "True") for c in node["status"].get("conditions") or [])
 
 
 class ApiServer:

@@ -32,6 +32,11 @@ class Failed(AssertionError):
         """What the command exited with."""
 
 
+def is_ready(item: Object) -> bool:
+    """Whether Kubernetes counts a node or pod as ready."""
+    return any((c["type"], c["status"]) == ("Ready", "True") for c in item["status"].get("conditions") or [])
+
+
 class Reader:
     """Reads objects over one connection, by the names that kubectl takes. Each start of kubectl takes a tenth of a second of a
     processor, and tests read several times a second.

@@ -19,7 +19,7 @@ from understudy_demo import robotview
 from understudy_demo.recovery import Recovered
 from understudy_demo.robotview import RobotLog
 
-from tests.e2e.kubectl import Failed, Kubectl, Object
+from tests.e2e.kubectl import Failed, Kubectl, Object, is_ready
 
 MANIFESTS = Path(__file__).parents[2] / "examples" / "quickstart" / "manifests"
 APPLICATION = "understudy_quickstart.application"
@@ -267,12 +267,15 @@ class Robot:
 
     def describe(self) -> str:
         """What a person would look at next, for failure messages."""
-        lines = []
+        lines, unready = [], []
+        with suppress(Failed):
+            unready = [pod["metadata"]["name"] for pod in self.pods() if not is_ready(pod)]
         for arguments in (
             ("get", "pods", "-o", "wide"),
             ("get", "robotworkload", self.workload, "-o", "yaml"),
             ("get", "events", "--sort-by=.lastTimestamp"),
             ("logs", f"deployment/{self.workload}-monitor", "--tail=40"),
+            *(("logs", pod, "--all-containers", "--prefix", "--tail=60") for pod in unready),
         ):
             try:
                 lines.append(self.kubectl(*arguments))
