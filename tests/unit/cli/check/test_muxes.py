@@ -42,6 +42,16 @@ def test_what_a_mux_lacks_in_its_pod_is_reported(line: str, instead: str, field:
     assert_golden("check", finding.message, fact)
 
 
+def test_a_robot_with_an_instance_on_board_needs_volumes_that_keep_its_environment() -> None:
+    robot, workload = ((EXAMPLE / "mux/on-board" / name).read_text() for name in ("robot.yaml", "robotworkload.yaml"))
+    assert checked(robot, workload, EXECUTING).findings == []
+    line = "              - configMap: {name: robot-1-drive-mux}\n"
+    assert line in robot
+    finding = only(robot.replace(line, ""), workload, EXECUTING)
+    assert (finding.severity, finding.field) == ("warning", "spec.template.spec.volumes")
+    assert_golden("check", finding.message, "robot-1-drive-mux", "five minutes")
+
+
 def test_a_robot_without_its_mux_is_reported() -> None:
     robot = ROBOT.replace("            - configMapRef: {name: robot-1-drive-mux}\n", "")
     finding = only(robot, WORKLOAD, EXECUTING)

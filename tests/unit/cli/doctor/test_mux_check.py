@@ -109,6 +109,14 @@ def test_a_pod_that_waits_for_its_token_or_lacks_it_is_reported() -> None:
     assert (finding.level, "the mux has no token" in finding.found) == ("FAIL", True)
 
 
+def test_a_container_beside_an_instance_on_board_that_could_not_start_again_is_reported() -> None:
+    pod = copy.deepcopy(robot())
+    pod["spec"]["containers"].append({"name": "home", "envFrom": [{"configMapRef": {"name": names.on_board(NAME)}}]})
+    (finding,) = found(pods=[pod])
+    assert finding.level == "WARN"
+    assert_golden("doctor", [finding.found, finding.cure], f"ConfigMap {NAME}-on-board,")
+
+
 def test_two_muxes_of_one_workload_are_reported() -> None:
     (finding,) = found(pods=[robot("robot-17-a"), robot("robot-17-b")])
     assert finding.level == "FAIL"
