@@ -80,9 +80,10 @@ async def join(me: Waiter, progress: Progress, context: StrategyContext) -> None
     progress.moments["queued"] = me.since
     progress.waiting = me
     context.save(progress)
-    state = context.gate.state
-    recorded = state.recovery.waiting if state.recovery is not None else None
-    if not state.closed or recorded is None or (recorded.pool, recorded.priority) != (me.pool, me.priority):
+    beside = context.gate.state.recovery
+    recorded = beside.waiting if beside is not None else None
+    waits = recorded is not None and (recorded.pool, recorded.priority) == (me.pool, me.priority)
+    if not waits or not _is_closed(progress, context):
         await context.gate.commit(None, progress)
     progress.moments.setdefault("fenced", context.clock())
 
@@ -102,10 +103,15 @@ async def close(progress: Progress, context: StrategyContext) -> None:
     """
     while not context.gate.exists:  # noqa: ASYNC110 - each kind of gate would need an event for what nobody does twice
         await asyncio.sleep(MOMENT)
-    state = context.gate.state
-    if not state.closed or state.epoch == progress.open_at or progress.another(state.recovery):
-        await context.gate.commit(None, progress)  # it decides whether another recovery may be ended
+    if not _is_closed(progress, context):
+        await context.gate.commit(None, progress)
     progress.moments.setdefault("fenced", context.clock())
+
+
+def _is_closed(progress: Progress, context: StrategyContext) -> bool:
+    """Whether a commit has closed the gate, and not for another recovery. Whether that may be ended is decided by the next commit."""
+    state = context.gate.state
+    return state.closed and state.epoch != progress.open_at and progress.another(state.recovery) is None
 
 
 async def open_for(target: Instance, progress: Progress, context: StrategyContext) -> None:
