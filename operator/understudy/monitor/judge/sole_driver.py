@@ -136,11 +136,18 @@ Tracks = Mapping[tuple[str, str], Track]
 
 
 def tracked(
-    before: Tracks, signs: Sequence[Sign], fenced: Mapping[str, float], *, let_through: Collection[str], now: float
+    before: Tracks,
+    signs: Sequence[Sign],
+    fenced: Mapping[str, float],
+    *,
+    let_through: Collection[str],
+    now: float,
+    switched: float = 0.0,
 ) -> Tracks:
     """Return the tracks with these signs of senders that are not let through.
 
-    ``fenced`` has the time at which the gate stopped letting an instance through, by UID; ``let_through`` the UIDs of those it names.
+    ``fenced`` has the time at which the gate stopped letting an instance through, by UID; ``let_through`` the UIDs of those it names, and
+    ``switched`` since when it names them.
     """
     found = {
         key: one
@@ -153,15 +160,21 @@ def tracked(
         if sign.uid in let_through or not fenced.get(sign.uid, 0.0) < sign.last <= now or now - sign.last >= MEMORY:
             continue
         key = (sign.uid or sign.name, sign.via)
-        known = found.get(key) or _as_stranger(found, sign)
+        known = found.get(key) or _as_stranger(found, sign, switched)
         found[key] = Track.begin(sign) if known is None or known.was_over(sign.last) else known.with_sign(sign)
     return found
 
 
-def _as_stranger(tracks: dict[tuple[str, str], Track], sign: Sign) -> Track | None:
-    """Remove and return the track of an instance from the time when it was unknown, as a pod is that this monitor's watch has not shown."""
+def _as_stranger(tracks: dict[tuple[str, str], Track], sign: Sign, switched: float) -> Track | None:
+    """Remove and return the track of an instance from the time when it was unknown, as a pod is that this monitor's watch has not shown.
+
+    Until the gate was switched, it may have been let through: by its name, or by another monitor.
+    """
     key = next((key for key, one in tracks.items() if sign.uid and one.sign.pod_uid == sign.uid), None)
-    return tracks.pop(key) if key is not None else None
+    found = tracks.pop(key) if key is not None else None
+    if found is None or found.sign.last < switched:
+        return None
+    return replace(found, first=max(found.first, switched))
 
 
 @dataclass(frozen=True)
@@ -257,7 +270,7 @@ class SoleDriver:
         self._names: frozenset[str] = frozenset()
         """The names of those that the gate lets through: it selects pods by name."""
         self._epoch = 0
-        self._updated = 0.0
+        self._switched = self._updated = 0.0
         self._steps = ClockSteps()
         self._listening_since = time.monotonic()
         self.leaks: Sequence[Leak] = ()
@@ -302,9 +315,7 @@ class SoleDriver:
                 state.epoch > self._epoch + 1
             ):  # other monitors have switched the gate several times, and this one did not see for whom
                 was_let_through |= {pod.uid for pod in state.pinned}
-            self._epoch = state.epoch
-            # An unknown sender may have been let through until now, by its name or by another monitor.
-            self._tracks = {key: one for key, one in self._tracks.items() if one.sign.uid}
+            self._epoch, self._switched = state.epoch, now
             self._fenced |= dict.fromkeys(was_let_through - through, now)
             self._through, self._names = through, names
             there = {i.uid for i in instances} | {one.uid for one in self._outputs.known_senders()}
@@ -318,13 +329,14 @@ class SoleDriver:
         drove = self._fenced.keys() | {uid for uid, one in known.items() if one.pinned}
         self._possible.update([one for uid, one in known.items() if uid in drove], gone, through, now)
         signs = self._signs(instances, known, drove | gone, now)
-        self._tracks = tracked(self._tracks, signs, self._fenced, let_through=through, now=now)
+        self._tracks = tracked(self._tracks, signs, self._fenced, let_through=through, now=now, switched=self._switched)
         return is_other
 
     def _follow_clock(self) -> None:
         """Move all times if the clock was set."""
         if step := self._steps.taken():
             self._updated += step
+            self._switched += step
             self._fenced = {uid: at + step for uid, at in self._fenced.items()}
             self._tracks = {key: one.moved(step) for key, one in self._tracks.items()}
             self._possible.shift(step)
@@ -378,8 +390,8 @@ class SoleDriver:
         )
 
     def verified(self, at: float) -> None:
-        """Note that the active instance was the only one that drove at a time: what was heard before has ended."""
-        self._tracks = {key: one for key, one in self._tracks.items() if one.sign.last > at}
+        """Note that the active instance was the only known one that drove at a time: what was heard of others before has ended."""
+        self._tracks = {key: one for key, one in self._tracks.items() if one.sign.last > at or not one.sign.uid}
 
     def close_for(self, active_uid: str) -> None:
         """Note that the gate is being closed for this instance because of a leak, so that it opens for it again first."""

@@ -209,6 +209,21 @@ def test_a_workload_is_not_healthy_while_a_sender_that_cannot_be_attributed_driv
     assert watched.judged.strangers == ("/cmd_vel by /teleop",)
 
 
+def test_a_sender_that_cannot_be_attributed_is_reported_during_and_after_a_switch_too() -> None:
+    watched = Watched()
+    watched.listen(topic="/cmd_vel", name="/teleop", uid="")
+    watched.objects.put_gate(GateState(epoch=5, active="w-1", active_uid="uid-w-1"))
+    watched.observer.heard = [OutputSender("/cmd_vel", "/teleop", "", (), watched.now + PERIOD)]
+    watched.update()
+    assert watched.condition[:2] == ("Unknown", "UnknownSender")
+    watched.judged.verified(watched.now)
+    watched.judged.report(watched.now)
+    assert watched.condition[:2] == ("Unknown", "UnknownSender")
+    watched.observer.heard = []
+    watched.update(QUIET)
+    assert watched.condition[0] == "True"
+
+
 def test_probes_of_a_pod_that_is_no_known_instance_are_a_possible_second_driver() -> None:
     watched = Watched()
     watched.listen(probes=True, uid="uid-stray")
