@@ -16,6 +16,7 @@ the proxy, of an agent or of the monitor, loses a goal or causes one to be execu
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -55,8 +56,12 @@ MOST_BYTES = 4 << 20
 """Bytes (in base64) of the results of ended goals that are kept: the journal is written as a whole."""
 
 EARLY = 15.0
-"""Seconds for which a request for the result of a goal that is not known here is held. The goal itself may come later, or from the
-instance: after the loss of a node, a client may hear two proxies until the node's kubelet has ended the older one."""
+"""Seconds for which a request for the result of a goal that is not known here is held while the instance in control can be asked. The goal
+itself may come later, or from the instance: after the loss of a node, a client may hear two proxies until the node's kubelet has ended the
+older one."""
+
+MOST_EARLY = 1024
+"""Most of these requests that are held."""
 
 JUST_NOW = 10.0
 """Seconds before a restart for which answers are given again: the last ones may not have been sent."""
@@ -153,6 +158,8 @@ class GoalLedger:
         self._invited: set[str] = set()
         self._cancels: dict[RequestKey, _Cancel] = {}
         self._early: list[_EarlyResult] = []
+        self._asked: tuple[str, float] | None = None
+        """UID of the instance in control, and since when it can be asked for goals that are not known here; None if it cannot."""
         self._answers: list[Answer] = []
         self._number = 0
 
@@ -326,7 +333,9 @@ class GoalLedger:
                 if goal.open:
                     self._advance(goal, now)
         self._forget(now)
-        for early in [early for early in self._early if now - early.received >= EARLY]:
+        self._follow_asked(now)
+        over = self._early[: max(0, len(self._early) - MOST_EARLY)]
+        for early in [*over, *(early for early in self._early[len(over) :] if self._held_until(early) <= now)]:
             self._early.remove(early)
             self._answers.append(ResultAnswer(early.action, early.request, UNKNOWN, ""))
         for request, entry in list(self._cancels.items()):
@@ -341,7 +350,7 @@ class GoalLedger:
     def due(self, now: float) -> float | None:
         """Return the latest time for the next :meth:`advance` if nothing else happens; None for never."""
         moments = [goal.ended_at + KEPT for goal in self.goals.values() if not goal.open]
-        moments += [early.received + EARLY for early in self._early]
+        moments += [until for early in self._early if (until := self._held_until(early)) < math.inf]
         for goal in self.goals.values():
             if not goal.open:
                 continue
@@ -427,6 +436,17 @@ class GoalLedger:
         return made
 
     # -- inside -----------------------------------------------------------------------------------------------------
+
+    def _follow_asked(self, now: float) -> None:
+        """Note whether the instance in control can be asked. If the monitor may not know which one that is, it cannot."""
+        is_known = self.situation is not None and self.situation.is_confirmed and self._active in self.connected
+        if not is_known:
+            self._asked = None
+        elif self._asked is None or self._asked[0] != self._active:
+            self._asked = self._active, now
+
+    def _held_until(self, early: _EarlyResult) -> float:
+        return math.inf if self._asked is None else max(early.received, self._asked[1]) + EARLY
 
     def _add(self, goal: Goal) -> None:
         """Add a goal, with the requests for its result that came before it."""

@@ -15,6 +15,7 @@ from understudy.action_proxy.goal_ledger import (
     CANCEL_REJECTED,
     CANCEL_UNKNOWN,
     EARLY,
+    MOST_EARLY,
     REFUSED,
     UNDECIDED,
     GoalAnswer,
@@ -74,6 +75,33 @@ class TestOneInstance:
         world.go()
         world.end("a", goal)
         assert world.results == {goal: (SUCCEEDED, "a")}
+
+    @pytest.mark.parametrize("how", ["nobody is in control", "no connection", "no answer of the API server"])
+    def test_a_goal_is_not_unknown_before_the_instance_in_control_was_asked(self, world: World, how: str) -> None:
+        goal = uuid.uuid4().hex
+        if how == "nobody is in control":
+            world.switch("", settled=False)
+        elif how == "no connection":
+            world.ledger.connected.discard("a")
+        else:
+            world.is_confirmed = False
+            world.tell()
+        world.want(goal)
+        world.later(10 * EARLY)
+        assert world.results == {}
+        world.is_confirmed = True
+        world.switch("a")
+        world.later(EARLY - 1)
+        assert world.results == {}
+        world.later(2)
+        assert world.results == {goal: (0, "")}
+
+    def test_so_many_requests_for_results_of_unknown_goals_are_held(self, world: World) -> None:
+        world.switch("")
+        goals = [uuid.uuid4().hex for _ in range(MOST_EARLY + 1)]
+        for goal in goals:
+            world.want(goal)
+        assert world.results == {goals[0]: (0, "")}
 
     def test_a_goal_of_a_request_that_another_proxy_has_answered_is_not_rejected(self, world: World) -> None:
         goal, request = uuid.uuid4().hex, world.request("")
