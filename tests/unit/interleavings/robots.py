@@ -112,7 +112,9 @@ class Robots:
                 # One that was ended already has nothing left; one that was deleted by force lives on for a moment.
                 self.later(self.between(0.02, 0.4), self._end, uid)
         elif "deletionTimestamp" in new["metadata"] and "deletionTimestamp" not in old["metadata"]:
-            self.later(self.between(0.02, 1.0), self._end, uid)
+            found = self.running.get(uid)
+            begins = found is not None and not self.nodes.is_forgotten(found.node)
+            self.later(self.between(0.02, 1.0), functools.partial(self._end, uid, begun=begins))
         elif uid in self.running and _labels(old) != _labels(new):
             self.later(self.between(0.001, 0.02), self.route, self.running[uid].robot)
         owner = controller_of(item)
@@ -338,15 +340,20 @@ class Robots:
         self.route(found.robot)
         self.look(uid)
 
-    def _end(self, uid: str) -> None:
-        """A pod's processes end; what is left of its object goes a moment later."""
+    def _end(self, uid: str, *, begun: bool = False) -> None:
+        """A pod's processes end; what is left of its object goes a moment later. ``begun``: its kubelet has begun to end them."""
         found = self.running.get(uid)
-        if found is None or self._kubelet_waits(uid, self._end, uid):
+        if found is None or (not begun and self._kubelet_waits(uid, self._end, uid)):
             return
         found.ended, found.up, found.sends = True, False, False
         self.end_agent(uid)
         self.route(found.robot)
-        self.later(self.between(0.01, 0.1), self._forget, uid)
+        self.later(self.between(0.01, 0.1), self._vanish, uid)
+
+    def _vanish(self, uid: str) -> None:
+        """The kubelet removes what is left of a pod's object."""
+        if not self._kubelet_waits(uid, self._forget, uid):
+            self._forget(uid)
 
     def _forget(self, uid: str) -> None:
         found = self.running[uid]
