@@ -246,12 +246,15 @@ class GoalLedger:
         ended: tuple[int, str] | None,
         now: float,
         ago: float = 0.0,
+        *,
         withdrawn: bool = False,
+        cancelled: bool = False,
     ) -> None:
         """Adopt a goal that the active instance has and that is not known here, because the journal was lost.
 
         ``ended`` has the status and the result if the goal has ended in the meantime, ``ago`` seconds before. ``withdrawn`` is whether a
-        proxy cancelled it without a client's request. Raises KeyError, TypeError and ValueError for an invalid note.
+        proxy cancelled it without a client's request; ``cancelled`` whether one cancelled it because its client asked for that, or because
+        it had ended. Raises KeyError, TypeError and ValueError for an invalid note.
         """
         if uid != self._active or not note:
             return
@@ -261,6 +264,8 @@ class GoalLedger:
         self._add(goal)
         self._number = max(self._number, goal.number)
         goal.charge, goal.attempts[uid] = uid, Attempt(id)
+        if cancelled and goal.phase is Phase.ACTIVE:
+            goal.phase = Phase.CANCELING
         if goal.request and goal.accepted and _is_recent(goal.accepted, now):
             self._answers.append(GoalAnswer(goal.action, goal.request, True, goal.accepted))
         if ended is not None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import base64
-import contextlib
 import logging
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
@@ -20,6 +19,9 @@ _logger = logging.getLogger(__name__)
 
 RETRY = 1.0
 """Seconds after which a request is repeated that an agent refused or did not answer."""
+
+MOST_CANCELS = 16
+"""Cancels under way at one agent. It carries out twice as many requests at the same time."""
 
 WITHIN = 10.0
 """Seconds for an answer: the agent asks its instance to cancel, which may take a while."""
@@ -76,6 +78,8 @@ class InstanceLink:
         """Goals that were ordered and have not ended. A goal that is no longer ordered is cancelled."""
         self._cancelled: dict[str, bool] = {}
         """By id, whether it was cancelled as withdrawn."""
+        self._cancelling: dict[tuple[str, bool], asyncio.Task[None]] = {}
+        """By id and whether it is withdrawn: an application that stands still does not answer, and other orders do not wait for it."""
         self._invitations: list[int] = []
         self._link = AgentLink(
             peer.ip,
@@ -103,9 +107,10 @@ class InstanceLink:
 
     async def close(self) -> None:
         """Close the connection."""
-        self._task.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await self._task
+        working = [self._task, *self._cancelling.values()]
+        for task in working:
+            task.cancel()
+        await asyncio.gather(*working, return_exceptions=True)
         await self._link.close()
 
     def _changed(self, link: AgentLink) -> None:
@@ -148,12 +153,13 @@ class InstanceLink:
                 continue
             try:
                 await self._carry_out()
-            except (AgentGone, AgentRefused) as error:
-                _logger.warning("%s: %s", self.peer.pod, error)
-                asyncio.get_running_loop().call_later(RETRY, self._wake.set)
-            except Exception:
-                _logger.exception("goals of %s", self.peer.pod)
-                asyncio.get_running_loop().call_later(RETRY, self._wake.set)
+            except Exception as error:
+                self._retry(error)
+
+    def _retry(self, error: Exception) -> None:
+        expected = isinstance(error, AgentGone | AgentRefused)
+        _logger.warning("%s: %s", self.peer.pod, error, exc_info=None if expected else error)
+        asyncio.get_running_loop().call_later(RETRY, self._wake.set)
 
     async def _carry_out(self) -> None:
         if not self._asked:
@@ -169,8 +175,9 @@ class InstanceLink:
                 self._listener.goal_found(self.peer.uid, found)
                 self._goal_reported(found)
         for id in sorted(self._mine - {order.id for order in self._listener.orders(self.peer.uid)}):
-            await self._link.request("cancel", {"goal": id}, within=WITHIN)
-            self._mine.discard(id)
+            if self._cancelled.get(id) is False:
+                self._mine.discard(id)
+            self._cancel(id)
         refused: AgentRefused | None = None
         seen: set[str] = set()
         # Orders change while others are sent: a goal that the instance has rejected meanwhile must not be sent again at once.
@@ -181,7 +188,7 @@ class InstanceLink:
             self._mine.add(order.id)
             try:
                 if order.cancel:
-                    await self._cancel(order)
+                    self._cancel(order.id, ordered=True, withdrawn=order.withdrawn)
                 else:
                     self._cancelled.pop(order.id, None)
                     await self._send(order)
@@ -216,12 +223,30 @@ class InstanceLink:
             raise
         self._listener.goal_problem(self.peer.uid, order.action, "")
 
-    async def _cancel(self, order: Order) -> None:
-        if self._cancelled.get(order.id) == order.withdrawn:
-            return
-        answer = await self._link.request("cancel", {"goal": order.id, "withdrawn": order.withdrawn}, within=WITHIN)
-        self._cancelled[order.id] = order.withdrawn
-        if answer.get("known"):
-            self._listener.cancel_answered(self.peer.uid, order.id, bool(answer.get("accepted")))
-        else:
-            self._listener.goal_reported(self.peer.uid, order.id, AttemptState.LOST, 0, "")
+    def _cancel(self, id: str, *, ordered: bool = False, withdrawn: bool = False) -> None:
+        """Cancel a goal, unless that was done or is being done. With too many under way, it waits for one of them."""
+        key = id, withdrawn
+        if (
+            self._cancelled.get(id) != withdrawn
+            and key not in self._cancelling
+            and len(self._cancelling) < MOST_CANCELS
+        ):
+            self._cancelling[key] = asyncio.create_task(self._cancel_at_agent(id, ordered=ordered, withdrawn=withdrawn))
+
+    async def _cancel_at_agent(self, id: str, *, ordered: bool, withdrawn: bool) -> None:
+        try:
+            answer = await self._link.request("cancel", {"goal": id, "withdrawn": withdrawn}, within=WITHIN)
+            if not ordered:
+                self._mine.discard(id)
+                return
+            self._cancelled[id] = withdrawn
+            if answer.get("known"):
+                self._listener.cancel_answered(self.peer.uid, id, bool(answer.get("accepted")))
+            else:
+                self._listener.goal_reported(self.peer.uid, id, AttemptState.LOST, 0, "")
+        except Exception as error:
+            self._retry(error)
+        finally:
+            del self._cancelling[id, withdrawn]
+            if len(self._cancelling) == MOST_CANCELS - 1:
+                self._wake.set()

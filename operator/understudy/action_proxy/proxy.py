@@ -150,8 +150,11 @@ class Proxy:
         elif goal["state"] not in ("waiting", "running"):
             return
         try:
-            note, data, withdrawn = goal.get("note", ""), goal.get("data", ""), bool(goal.get("withdrawn"))
-            self._ledger.adopt(uid, goal["id"], note, data, ended, CLOCK.now(), ago, withdrawn)
+            note, data = goal.get("note", ""), goal.get("data", "")
+            withdrawn, cancelled = bool(goal.get("withdrawn")), bool(goal.get("cancelled"))
+            self._ledger.adopt(
+                uid, goal["id"], note, data, ended, CLOCK.now(), ago, withdrawn=withdrawn, cancelled=cancelled
+            )
         except (KeyError, TypeError, ValueError) as error:
             _logger.error("goal %s of an earlier proxy cannot be adopted: %r", goal["id"], error)
 

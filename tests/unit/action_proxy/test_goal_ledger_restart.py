@@ -156,6 +156,21 @@ class TestMissingJournal:
         (order,) = world.ledger.orders("b")
         assert (order.cancel, order.withdrawn) == (True, False)
 
+    def test_a_goal_that_an_instance_was_to_cancel_is_sent_to_no_other_one_by_the_next_proxy(
+        self, world: World
+    ) -> None:
+        """The application of a standby stood still when the goal ended for its client (seed 2450289)."""
+        goal = world.ask()
+        (order,) = world.ledger.orders("a")
+        world.ledger, world.instances["b"].executing = GoalLedger(), True
+        world.switch("a", work=False)
+        world.ledger.adopt("a", goal, order.note, "goal", None, world.now, cancelled=True)
+        world.go(work=False)
+        (order,) = world.ledger.orders("a")
+        assert (order.cancel, order.withdrawn) == (True, False)
+        world.switch("b")
+        assert world.instances["b"].starts == []
+
     def test_an_instance_learns_that_a_goal_that_was_withdrawn_from_it_has_ended(self, world: World) -> None:
         """The client cancels the goal while nobody is in control. A proxy without a journal would send it again (seed 2253006)."""
         goal = world.ask()

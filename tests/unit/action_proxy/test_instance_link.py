@@ -30,6 +30,9 @@ class Agent(IdleAgent):
         """Of each cancel."""
         self.known: list[dict[str, Any]] = []
         self.refused_action = ""
+        self.answers = asyncio.Event()
+        """Set while cancels are answered."""
+        self.answers.set()
         self.on_goal: Callable[[], None] = lambda: None
         self.sessions = ControlChannel(self)
 
@@ -43,6 +46,7 @@ class Agent(IdleAgent):
         async def cancel(body: Mapping[str, Any], peer: Peer) -> dict[str, Any]:
             self.asked.append(("cancel", body["goal"]))
             self.withdrawn.append(body.get("withdrawn", False))
+            await self.answers.wait()
             return {"known": True, "accepted": True}
 
         async def goals(body: Mapping[str, Any], peer: Peer) -> dict[str, Any]:
@@ -210,6 +214,21 @@ async def test_a_cancellation_is_requested_once(agent: Agent, recorder: LinkReco
     recorder.ordered.append(order(SECOND))
     link.wake()
     await eventually(lambda: ("goal", SECOND) in agent.asked)
+    assert agent.asked.count(("cancel", FIRST)) == 1
+
+
+async def test_a_cancellation_that_is_not_answered_keeps_no_other_order_waiting(
+    agent: Agent, recorder: LinkRecorder, link: InstanceLink
+) -> None:
+    """The application of a standby stands still. Its agent must know which goals have ended (seed 2450289)."""
+    agent.answers = asyncio.Event()
+    recorder.ordered = [order(FIRST, cancel=True), order(SECOND, cancel=True), order(THIRD)]
+    link.wake()
+    await eventually(lambda: {("cancel", FIRST), ("cancel", SECOND), ("goal", THIRD)} <= set(agent.asked))
+    assert recorder.cancelled == []
+    link.wake()
+    agent.answers.set()
+    await eventually(lambda: sorted(recorder.cancelled) == [FIRST, SECOND])
     assert agent.asked.count(("cancel", FIRST)) == 1
 
 

@@ -80,6 +80,8 @@ class _Record:
     """Whether the proxy cancelled it without a client's request."""
     concluded: bool = False
     """Whether the proxy has cancelled it after its end: the end counts for its client."""
+    cancelled: bool = False
+    """Whether the proxy has cancelled it, and not withdrawn, so that no instance needs it any more. The instance may not answer that."""
     ended: float = 0.0
     """Monotonic seconds."""
     task: asyncio.Task[None] | None = None
@@ -143,6 +145,7 @@ class TaskGoals:
                 self._repeat_end(record)
             return {"known": record is not None and record.state == "ended", "accepted": False}
         record.withdrawn = body.get("withdrawn") is True
+        record.cancelled = not record.withdrawn
         if record.state == "waiting":
             if record.task is not None:
                 record.task.cancel()
@@ -155,7 +158,9 @@ class TaskGoals:
         except TimeoutError:
             raise Refused(f"{record.action}: no answer to a cancel within {ANSWER:g} s") from None
         # If the goal has ended in the meantime, an event reports it.
-        return {"known": True, "accepted": code in (0, 3)}
+        accepted = code in (0, 3)
+        record.cancelled &= accepted
+        return {"known": True, "accepted": accepted}
 
     async def list(self, body: Mapping[str, Any], peer: Peer) -> dict[str, Any]:
         """Return the goals that were requested, with their states: the unfinished ones first, then the latest, as many as fit."""
@@ -170,6 +175,7 @@ class TaskGoals:
                 **record.to_wire(),
                 "note": record.note,
                 "withdrawn": record.withdrawn,
+                "cancelled": record.cancelled,
                 "data": base64.b64encode(record.data).decode() if is_needed else "",
                 "ago": now - record.ended if record.ended else 0.0,
             }
