@@ -245,12 +245,12 @@ class ReflexRobots(Robots):
         if not self._away(uid, self.heartbeat, uid):
             super().heartbeat(uid)
 
-    def _end(self, uid: str) -> None:
+    def _end(self, uid: str, *, begun: bool = False) -> None:
         if self._away(uid, self._end, uid):
             return
         if uid in self.agents:
             self.agents[uid].left = True
-        super()._end(uid)
+        super()._end(uid, begun=begun)
 
     def _send(self, uid: str) -> None:
         found, agent = self.running.get(uid), self.agents.get(uid)

@@ -67,4 +67,4 @@ def test_a_proxy_that_believes_the_ends_of_an_instance_that_is_gone_is_found() -
             self.connected = Everybody()
 
     with mock.patch.object(goal_journal, "GoalLedger", Credulous), mock.patch.object(PodControl, "look_at"):
-        assert any("is aborted" in fault for fault in tasks.run(2_000_244).faults)
+        assert any("is aborted" in fault for fault in tasks.run(2_000_463).faults)
