@@ -176,8 +176,9 @@ class InstanceLink:
                 self._goal_reported(found)
         for id in sorted(self._mine - {order.id for order in self._listener.orders(self.peer.uid)}):
             if self._cancelled.get(id) is False:
-                self._mine.discard(id)
-            self._cancel(id)
+                self._mine.discard(id)  # it was ordered to, and has been done
+            else:
+                self._cancel(id)
         refused: AgentRefused | None = None
         seen: set[str] = set()
         # Orders change while others are sent: a goal that the instance has rejected meanwhile must not be sent again at once.

@@ -30,7 +30,7 @@ def check(ours: Sequence[Manifest], others: Sequence[Manifest]) -> Iterator[Find
             where = f"{path}.{mux_container.path(spec, names.mux(workload.name))}"
             for message in mux_container.problems(spec, workload.name):
                 yield manifest.finding(where, message, warning=True)
-            for message in mux_container.forgotten(spec, workload.name):
+            if message := mux_container.forgotten(spec, workload.name):
                 yield manifest.finding(f"{path}.volumes", message, warning=True)
             yield from _several(manifest)
         if not muxes and any(mux_container.path(spec, names.robot_env(workload.name)) for _, _, spec in pods):

@@ -70,8 +70,8 @@ def _mux(api: Api, namespace: str, workload: Object, pods: Sequence[Object]) -> 
             f"line discovery of {name}"
         )
         return Finding(check, "WARN", f"{where} runs it, but the monitor receives no report of it", cure)
-    if lacks := list(mux_container.forgotten(pod["spec"], name)):
-        return Finding(check, "WARN", f"{where} runs it, and it reports, but an instance on board needs more", lacks[0])
+    if cure := mux_container.forgotten(pod["spec"], name):
+        return Finding(check, "WARN", f"{where} runs it, and it reports, but an instance on board needs more", cure)
     return Finding(check, "OK", f"{where} runs it, and it reports")
 
 

@@ -45,15 +45,15 @@ def problems(spec: object, workload: str) -> Iterator[str]:
         )
 
 
-def forgotten(spec: object, workload: str) -> Iterator[str]:
-    """Yield what keeps containers beside an instance on board from starting again while the link to the cluster is down, as sentences.
+def forgotten(spec: object, workload: str) -> str:
+    """Return what keeps containers beside an instance on board from starting again while the link to the cluster is down; empty if nothing.
 
     The kubelet forgets a ConfigMap that only an environment needs five minutes after it was last read. It asks for one in a volume every
     minute, and keeps the last answer.
     """
     containers = [one for _, one in _containers(spec)]
     if not any(_has_environment(one, names.on_board(workload)) for one in containers):
-        return
+        return ""
     needed = [at(one, "configMapRef", "name") for container in containers for one in items(container, "envFrom")]
     sources = [
         *items(spec, "volumes"),
@@ -61,12 +61,13 @@ def forgotten(spec: object, workload: str) -> Iterator[str]:
     ]
     kept = [at(one, "configMap", "name") for one in sources]
     lacking = sorted({one for one in needed if isinstance(one, str) and one not in kept})
-    if lacking:
-        yield (
-            f"no volume has {'ConfigMap' if len(lacking) == 1 else 'ConfigMaps'} {', '.join(lacking)}, which the kubelet forgets "
-            "when its node has been cut off for five minutes. A container that ends after that does not start again: mount a volume "
-            "with each ConfigMap that envFrom names, as volume settings in examples/quickstart/manifests/mux/on-board/robot.yaml"
-        )
+    if not lacking:
+        return ""
+    return (
+        f"no volume has {'ConfigMap' if len(lacking) == 1 else 'ConfigMaps'} {', '.join(lacking)}, which the kubelet forgets "
+        "when its node has been cut off for five minutes. A container that ends after that does not start again: mount a volume "
+        "with each ConfigMap that envFrom names, as volume settings in examples/quickstart/manifests/mux/on-board/robot.yaml"
+    )
 
 
 def _containers(spec: object) -> Iterator[tuple[str, Mapping[str, Any]]]:
