@@ -40,6 +40,8 @@ def confined(cluster: Cluster, helm: str, kubeconfig: Path, namespace: str, tmp_
     yield file
     for item in reversed(made):
         cluster.delete(item)
+    # The test may run again.
+    until(lambda: cluster.find("v1", "Namespace", own) is None, "the operator's namespace to be gone", seconds=60)
 
 
 @pytest.mark.usefixtures("alone")

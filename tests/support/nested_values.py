@@ -54,6 +54,8 @@ class Answers:
     def __init__(self) -> None:
         self.lists: dict[str, str] = {}
         self.events: dict[str, list[str]] = {}
+        self.forbidden: set[str] = set()
+        """The paths that the operator may not ask for."""
 
     async def answer(self, request: web.Request) -> web.StreamResponse:
         """Answer one request."""
@@ -64,6 +66,8 @@ class Answers:
             return web.json_response({"groups": [_group(path) for path in KINDS if path != "/api/v1"]})
         if request.path in KINDS:
             return web.json_response({"resources": [_resource(*kind) for kind in KINDS[request.path].items()]})
+        if request.path in self.forbidden:
+            return web.json_response({"kind": "Status", "status": "Failure", "code": 403}, status=403)
         if "watch" not in request.query:
             return web.Response(text=self.lists.get(plural, list_of("", ())), content_type="application/json")
         response = web.StreamResponse(headers={"Content-Type": "application/json"})

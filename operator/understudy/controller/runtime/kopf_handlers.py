@@ -19,6 +19,8 @@ import aiohttp
 import kopf
 from aiohttp.connector import Connection
 from kopf._cogs.clients import scanning
+from kopf._cogs.structs import references
+from kopf._core.reactor import observation
 
 from understudy.kube.client import PAGE, POLICIES, POOLS, WORKLOADS, Access, Object, Resource
 from understudy.kube.decoding import LONG, bounded, decode
@@ -184,10 +186,15 @@ def quiet() -> None:
 
 async def watch(see: See, access: Access, namespaces: Sequence[str]) -> None:
     """Watch until cancelled, or until a signal stops it."""
+    if namespaces:
+        # The chart gives no right to list namespaces then. kopf tries nine times before it assumes that they exist, and
+        # logs each.
+        logging.getLogger(observation.__name__).setLevel(logging.CRITICAL)
     await kopf.operator(
         registry=registry(see, access),
         settings=settings(),
         standalone=True,
         clusterwide=not namespaces,
         namespaces=list(namespaces),
+        insights=references.Insights(namespaces={references.NamespaceName(name) for name in namespaces}),
     )
