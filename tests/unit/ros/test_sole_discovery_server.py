@@ -13,7 +13,7 @@ import pytest
 
 from tests.support.network_namespaces import Network, network
 from tests.unit.ros.processes import PACKAGE
-from understudy.ros.dds.sole_server import QUIET
+from understudy.ros.dds.sole_server import PAUSE, QUIET
 
 pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="network namespaces need root")
 
@@ -30,6 +30,23 @@ signal.signal(signal.SIGTERM, report)
 print("runs", flush=True)
 time.sleep(60)
 """
+QUESTIONS = """
+import socket, sys, time
+
+asking = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+asking.setblocking(False)
+answers, end = 0, time.monotonic() + 1
+while time.monotonic() < end:
+    try:
+        asking.sendto(bytes(16), (sys.argv[1], 11812))
+        asking.recv(64)
+        answers += 1
+    except OSError:
+        pass
+print(answers)
+"""
+"""Asks as fast as it can for a second, and prints the number of answers."""
+
 WITHIN = 15.0
 
 
@@ -106,8 +123,12 @@ class Hosts:
             supervisor.terminate()
             assert supervisor.wait(10) == 0
 
-    def _inside(self, host: str, *command: str) -> None:
-        subprocess.run([*self._hosts[host], *command], check=True)
+    def flood(self, host: str, other: str) -> int:
+        """Ask the supervisor of another host as fast as possible for a second. Returns the number of answers."""
+        return int(self._inside(host, sys.executable, "-c", QUESTIONS, ADDRESSES[other]))
+
+    def _inside(self, host: str, *command: str) -> str:
+        return subprocess.run([*self._hosts[host], *command], check=True, stdout=subprocess.PIPE, text=True).stdout
 
 
 @pytest.fixture
@@ -214,4 +235,12 @@ def test_a_server_that_receives_no_answer_goes_on(hosts: Hosts) -> None:
     hosts.start("a")  # the Service leads nowhere, or the network does not lead a pod back to itself
     eventually(lambda: hosts.starts("a") == 1)
     time.sleep(3.0)
+    assert hosts.ends("a") == 0
+
+
+def test_a_flood_of_questions_is_answered_slowly(hosts: Hosts) -> None:
+    hosts.lead_to("a")
+    hosts.start("a")
+    eventually(lambda: hosts.starts("a") == 1)
+    assert 0 < hosts.flood("b", "a") <= 1.5 / PAUSE
     assert hosts.ends("a") == 0

@@ -62,6 +62,10 @@ LAST_WORDS = 1.0
 SUCCEEDS_EVERY = 0.1
 """Seconds between two packets to a predecessor that may live on. Its server announces itself twice a second."""
 
+PAUSE = 0.001
+"""Seconds between two packets from others. A flood of them so takes little processor time from the processes beside this one. The
+queue of the kernel holds some hundred packets, so that a question is answered in time."""
+
 TOKEN = 16
 """Bytes of a token, of the nonce that belongs to a question, and of what names the Service in a packet to another server."""
 
@@ -204,6 +208,7 @@ class SoleServer:
                     self._successor = sender[0]
                 elif packet == self._service + RAN_BESIDE:
                     self._is_mixed_up = True
+            time.sleep(PAUSE)
         return readable
 
 
