@@ -1,6 +1,6 @@
 """Measures whether a flood from one pod delays a failover: real failures in the middle of floods, and without a flood.
 
-    scripts/bench flood [--failures 5] [--seconds 60] [--variants outside peer open graph robot] [--cpus 500m none] [--at PART ...]
+    scripts/bench flood [--failures 5] [--seconds 60] [--variants outside peer open graph robot] [--cpus core 500m none] [--at PART ...]
 
 A stranger's pod, without rights and without labels, sends datagrams and makes connections at its full rate to all instances, the monitor
 and the discovery server of one robot. SIGKILL ends the application that drives, and its executing standby takes over.
@@ -13,7 +13,8 @@ and the discovery server of one robot. SIGKILL ends the application that drives,
     robot    as peer, at the robot's own ports, which Understudy does not protect; without a bound
 
 ``--cpus`` are limits of the stranger's pod, because its processes compete with the robot's for the processors of this machine. Those of a
-pod on another machine would not. It requests almost nothing. ``--at`` names what is flooded.
+pod on another machine would not. With ``core``, they are all on one processor, as the interrupts of a network card may be. It requests
+almost nothing. ``--at`` names what is flooded.
 """
 
 from __future__ import annotations
@@ -184,7 +185,7 @@ def main() -> int:
     parser.add_argument("--quiet", type=int, default=2, help="failures without a flood before each variant and limit")
     parser.add_argument("--seconds", type=float, default=60.0, help="length of one flood")
     parser.add_argument("--variants", nargs="+", choices=list(VARIANTS), default=list(VARIANTS))
-    parser.add_argument("--cpus", nargs="+", default=["500m", "none"], metavar="LIMIT")
+    parser.add_argument("--cpus", nargs="+", default=["core", "500m", "none"], metavar="LIMIT")
     parser.add_argument("--at", nargs="+", choices=PARTS, default=list(PARTS))
     parser.add_argument("--processes", type=int, default=2, help="that send datagrams; as many make connections")
     options = parser.parse_args()

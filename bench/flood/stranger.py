@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import subprocess
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -19,14 +20,17 @@ FOLDER = "/opt/flooder"
 
 OPEN = "everything-is-open"
 
+CORE = "core"
+
 
 class Stranger:
     """A pod without rights and without labels of Understudy."""
 
     def __init__(self, kubectl: Kubectl, cpu: str) -> None:
-        """``cpu`` is its limit, or ``none``."""
+        """``cpu`` is its limit, ``none``, or ``core``: all its processes are on the last processor of the machine."""
         self.kubectl, self.name = kubectl, f"stranger-{cpu}"
-        resources: Object = {"requests": {"cpu": "1m"}, "limits": {} if cpu == "none" else {"cpu": cpu}}
+        self._prefix = ("taskset", "--cpu-list", str((os.cpu_count() or 1) - 1)) if cpu == CORE else ()
+        resources: Object = {"requests": {"cpu": "1m"}, "limits": {} if cpu in (CORE, "none") else {"cpu": cpu}}
         program = {"flooder.py": Path(flooder.__file__).read_text()}
         container = {
             "name": "stranger",
@@ -48,7 +52,7 @@ class Stranger:
 
     def begin(self, seconds: float) -> Flood:
         """Begin a flood, which has no targets yet."""
-        program = ("python3", f"{FOLDER}/flooder.py", f"{seconds:g}")
+        program = (*self._prefix, "python3", f"{FOLDER}/flooder.py", f"{seconds:g}")
         return Flood(self.kubectl.command("exec", "-i", self.name, "--", *program))
 
     def end(self) -> None:

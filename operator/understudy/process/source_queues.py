@@ -24,7 +24,7 @@ QUEUES = 16
 BACKLOG = 32
 """Connections that wait in one queue, and those that are accepted from it at once after a rest."""
 
-PACE = 0.005
+PACE = 0.02
 """Seconds between two connections that are accepted from one queue, on average."""
 
 UNABLE = 1.0
