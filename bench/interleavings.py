@@ -30,7 +30,7 @@ CHUNK = 100
 """Runs whose figures are added together."""
 
 SHOWN = 10
-"""Number of failed runs that are listed."""
+"""Number of failed runs that are listed, and of chunks after which the progress is printed."""
 
 SHARE = 3
 """Number of runs without a reflex, tasks and a mux per run with one of them."""
@@ -156,6 +156,8 @@ def main() -> None:
             chunks.append(found)
             for seed, fault in found.faults.items():
                 print(f"seed {seed}: {fault}", flush=True)
+            if len(chunks) % SHOWN == 0:
+                print(f"{sum(c.runs for c in chunks)} of {sum(map(len, ranges))} runs", file=sys.stderr, flush=True)
     report = told(chunks)
     print(report.table())
     failed = sorted(seed for found in chunks for seed in found.faults)
