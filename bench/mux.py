@@ -38,6 +38,12 @@ SILENCE = 0.1
 
 TOKEN = b"bench"
 OUTPUT = {"topic": MUXED, "type": TYPE}
+DIRECTLY = f"""
+    <data_writer profile_name="{DIRECT}">
+      <propertiesPolicy><properties><property><name>partitions</name><value>;direct</value></property></properties></propertiesPolicy>
+    </data_writer>
+"""
+"""The writers of the other topic are in the default partition too, which an empty name stands for: the robot reads there."""
 
 
 def main() -> int:
@@ -121,7 +127,8 @@ def _stand(folder: Path) -> Iterator[_Stand]:
     from understudy.ros.dds.profiles import muxed_profiles_xml
 
     profile, token = folder / "instance.xml", folder / "token"
-    profile.write_text(muxed_profiles_xml([Output.model_validate(OUTPUT)]))
+    of_instances = muxed_profiles_xml([Output.model_validate(OUTPUT)])
+    profile.write_text(of_instances.replace("</profiles>", f"{DIRECTLY}</profiles>"))
     token.write_bytes(TOKEN)
     instances = {pod: {names.POD_VARIABLE: pod, "FASTRTPS_DEFAULT_PROFILES_FILE": str(profile)} for pod in INSTANCES}
     with running("bench.mux", {"robot": {}, **instances}) as roles:
