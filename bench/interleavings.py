@@ -30,7 +30,10 @@ CHUNK = 100
 """Runs whose figures are added together."""
 
 SHOWN = 10
-"""Number of failed runs that are listed, and of chunks after which the progress is printed."""
+"""Number of failed runs that are listed."""
+
+PROGRESS = 10
+"""Chunks after which the number of runs so far is printed."""
 
 SHARE = 3
 """Number of runs without a reflex, tasks and a mux per run with one of them."""
@@ -156,7 +159,7 @@ def main() -> None:
             chunks.append(found)
             for seed, fault in found.faults.items():
                 print(f"seed {seed}: {fault}", flush=True)
-            if len(chunks) % SHOWN == 0:
+            if len(chunks) % PROGRESS == 0:
                 print(f"{sum(c.runs for c in chunks)} of {sum(map(len, ranges))} runs", file=sys.stderr, flush=True)
     report = told(chunks)
     print(report.table())

@@ -187,8 +187,8 @@ def quiet() -> None:
 async def watch(see: See, access: Access, namespaces: Sequence[str]) -> None:
     """Watch until cancelled, or until a signal stops it."""
     if namespaces:
-        # The chart gives no right to list namespaces then. kopf tries nine times before it assumes that they exist, and
-        # logs each.
+        # The chart gives no right to list namespaces then. kopf tries nine times, and logs each, before it assumes that they
+        # exist. So its insights name them from the beginning.
         logging.getLogger(observation.__name__).setLevel(logging.CRITICAL)
     await kopf.operator(
         registry=registry(see, access),
