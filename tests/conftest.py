@@ -126,9 +126,14 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 def pytest_internalerror(excinfo: pytest.ExceptionInfo[BaseException]) -> None:
     """Keep an error of pytest itself for the end of scripts/test. That of a test process contains its traceback."""
-    if "PYTEST_XDIST_WORKER" not in os.environ and (log := os.environ.get("UNDERSTUDY_INTERNAL_ERRORS")):
+    _keep("pytest itself", str(excinfo.value))
+
+
+def _keep(what: str, error: str) -> None:
+    """Keep the end of an error for the end of scripts/test."""
+    if "PYTEST_XDIST_WORKER" not in os.environ and (log := os.environ.get("UNDERSTUDY_FAILURES")):
         with open(log, "a") as writing:
-            writing.write(f"{str(excinfo.value)[-4000:]}\n")
+            writing.write(f"{what}\n{error[-4000:]}\n\n")
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
@@ -136,6 +141,8 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     if started := os.environ.get("UNDERSTUDY_STARTED"):
         terminalreporter.line("")
         terminalreporter.line(f"scripts/test took {time.time() - float(started):.0f} s in all")
+    for report in (*terminalreporter.stats.get("failed", ()), *terminalreporter.stats.get("error", ())):
+        _keep(f"{report.nodeid} ({report.when})", report.longreprtext)
     if again := terminalreporter.stats.get("rerun"):
         terminalreporter.section("why a test failed that was run again")
         for report in again:
