@@ -80,3 +80,33 @@ async def test_two_workers_never_process_the_same_key() -> None:
     assert set(keys) == set(range(5))
     for worker in workers:
         worker.cancel()
+
+
+async def test_workers_take_keys_in_different_turns_of_the_event_loop() -> None:
+    """Each begins with a plan, which computes for up to 20 ms. Eight of them in one turn would delay everything else."""
+    queue: Queue[int] = Queue()
+    turn, turns = 0, dict[int, int]()
+
+    async def count() -> None:
+        nonlocal turn
+        while True:
+            turn += 1
+            await asyncio.sleep(0)
+
+    async def work() -> None:
+        while True:
+            key = await queue.take()
+            turns[key] = turn
+            if key % 2:
+                await asyncio.sleep(0.001)
+            queue.done(key)
+
+    tasks = [asyncio.create_task(one) for one in (count(), *(work() for _ in range(4)))]
+    await asyncio.sleep(0.001)
+    for key in range(16):
+        queue.add(key)
+    await asyncio.sleep(0.1)
+    assert set(turns) == set(range(16))
+    assert len(set(turns.values())) == 16
+    for task in tasks:
+        task.cancel()

@@ -20,6 +20,7 @@ class Queue(Generic[K]):
     def __init__(self, *, first_retry: float = FIRST_RETRY, last_retry: float = LAST_RETRY) -> None:
         self._first, self._last = first_retry, last_retry
         self._order: asyncio.Queue[K] = asyncio.Queue()
+        self._taking = asyncio.Lock()
         self._waiting: set[K] = set()
         self._working: set[K] = set()
         self._again: set[K] = set()
@@ -53,8 +54,14 @@ class Queue(Generic[K]):
         self.add(key)
 
     async def take(self) -> K:
-        """Wait for the next key and hold it until :meth:`done`."""
-        key = await self._order.get()
+        """Wait for the next key and hold it until :meth:`done`.
+
+        Workers get their keys in different turns of the event loop. What they do first computes for up to 20 ms, and all workers in the
+        same turn would keep everything else waiting.
+        """
+        async with self._taking:
+            await asyncio.sleep(0)
+            key = await self._order.get()
         self._waiting.discard(key)
         self._working.add(key)
         return key
