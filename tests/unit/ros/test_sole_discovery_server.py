@@ -13,7 +13,7 @@ import pytest
 
 from tests.support.network_namespaces import Network, network
 from tests.unit.ros.processes import PACKAGE
-from understudy.ros.dds.sole_server import PAUSE, QUIET
+from understudy.ros.dds.sole_server import PAUSE, QUIET, SUCCEEDS_EVERY
 
 pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="network namespaces need root")
 
@@ -34,18 +34,21 @@ QUESTIONS = """
 import socket, sys, time
 
 asking = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+asking.bind(("", 11812))
 asking.setblocking(False)
-answers, end = 0, time.monotonic() + 1
+answers, reports, end = 0, 0, time.monotonic() + 1
 while time.monotonic() < end:
     try:
         asking.sendto(bytes(16), (sys.argv[1], 11812))
-        asking.recv(64)
-        answers += 1
+        if asking.recv(64).startswith(bytes(16)):
+            answers += 1
+        else:
+            reports += 1
     except OSError:
         pass
-print(answers)
+print(answers, reports)
 """
-"""Asks as fast as it can for a second, and prints the number of answers."""
+"""Asks as fast as it can for a second, and prints the numbers of answers, and of reports to the predecessor of who is asked."""
 
 WITHIN = 15.0
 
@@ -123,9 +126,13 @@ class Hosts:
             supervisor.terminate()
             assert supervisor.wait(10) == 0
 
-    def flood(self, host: str, other: str) -> int:
-        """Ask the supervisor of another host as fast as possible for a second. Returns the number of answers."""
-        return int(self._inside(host, sys.executable, "-c", QUESTIONS, ADDRESSES[other]))
+    def flood(self, host: str, other: str) -> tuple[int, int]:
+        """Ask the supervisor of another host as fast as possible for a second.
+
+        Returns the numbers of answers, and of reports to this host as the predecessor of the other one.
+        """
+        answers, reports = self._inside(host, sys.executable, "-c", QUESTIONS, ADDRESSES[other]).split()
+        return int(answers), int(reports)
 
     def _inside(self, host: str, *command: str) -> str:
         return subprocess.run([*self._hosts[host], *command], check=True, stdout=subprocess.PIPE, text=True).stdout
@@ -242,5 +249,8 @@ def test_a_flood_of_questions_is_answered_slowly(hosts: Hosts) -> None:
     hosts.lead_to("a")
     hosts.start("a")
     eventually(lambda: hosts.starts("a") == 1)
-    assert 0 < hosts.flood("b", "a") <= 1.5 / PAUSE
+    hosts.begin_beside("a", "b")
+    answers, reports = hosts.flood("b", "a")
+    assert 0 < answers <= 1.5 / PAUSE
+    assert 0 < reports <= 1.5 / SUCCEEDS_EVERY, "a flood makes it send no more of them"
     assert hosts.ends("a") == 0

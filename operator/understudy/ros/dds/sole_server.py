@@ -183,9 +183,12 @@ class SoleServer:
 
     def _serve(self, end: float, least: float) -> None:
         """Answer, and look for the predecessor, until a time by the monotonic clock; from ``least`` on only until a successor reports."""
+        due = 0.0
         while (now := time.monotonic()) < end and not (self._successor is not None and now >= least):
-            self._succeed()
-            self._wait(min(SUCCEEDS_EVERY, end - now))
+            if now >= due:
+                self._succeed()
+                due = now + SUCCEEDS_EVERY
+            self._wait(min(due, end) - now)
 
     def _succeed(self) -> None:
         """Report to the predecessor that this server is in its place."""
