@@ -8,17 +8,23 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import itertools
 import json
 import re
+from array import array
 from collections.abc import Iterator
 from typing import Any
 
-from understudy.api.nesting import DEEPEST_OBJECT, is_too_deep
+from understudy.api.nesting import DEEPEST_OBJECT
 
 LONG = 100_000
 """Characters of a text from which on collections of garbage would take long."""
 
 _DECODER = json.JSONDecoder()
+_ONE_KIND = bytes.maketrans(b"{}", b"[]")
+_OTHERS = bytes(set(range(256)) - set(b"[]{}"))
+_STEPS = bytes.maketrans(b"[]", b"\x01\xff")
+"""What each bracket adds to the depth, as signed bytes."""
 _BETWEEN = re.compile(r"[\s,]*")
 _TOKEN = re.compile(r'"[^"\\]*(?:\\.[^"\\]*)*"|[][{}]')
 """A string, in which brackets do not count, or a bracket."""
@@ -28,36 +34,23 @@ def decode(text: str | bytes) -> Any:
     """Return the decoded text, with null for values that are nested more than DEEPEST_OBJECT levels deep. Raises ValueError."""
     text = text if isinstance(text, str) else text.decode()
     with _uncollected(text):
-        try:
-            value = json.loads(text)
-        except RecursionError:
-            return json.loads(_cut(text))
-        return json.loads(_cut(text)) if _is_deep(value, text, 0, len(text)) else value
+        return json.loads(bounded(text))
 
 
 def decode_each(text: str) -> Iterator[Any]:
     """Yield the values of a text that contains several with commas between them, each as :func:`decode` does."""
+    text = bounded(text)
     at = _after(text, 0)
     while at < len(text):
         with _uncollected(text):
-            try:
-                value, end = _DECODER.raw_decode(text, at)
-            except RecursionError:
-                text, at = _cut(text[at:]), 0
-                continue
-            value = json.loads(_cut(text[at:end])) if _is_deep(value, text, at, end) else value
+            value, end = _DECODER.raw_decode(text, at)
         yield value
         at = _after(text, end)
 
 
 def bounded(text: str) -> str:
-    """Return the text of a value as :func:`decode` would read it, for a decoder that is not ours. Raises ValueError."""
-    with _uncollected(text):
-        try:
-            deep = _has_many(text, 0, len(text)) and is_too_deep(json.loads(text), DEEPEST_OBJECT)
-        except RecursionError:
-            deep = True
-        return _cut(text) if deep else text
+    """Return the text of values with null for those that are nested too deeply."""
+    return _cut(text) if _is_deep(text) else text
 
 
 @contextlib.contextmanager
@@ -79,15 +72,19 @@ def _uncollected(text: str) -> Iterator[None]:
             gc.enable()
 
 
-def _is_deep(value: Any, text: str, begin: int, end: int) -> bool:
-    """Whether the value of a text is nested too deeply."""
-    return _has_many(text, begin, end) and is_too_deep(value, DEEPEST_OBJECT)
+def _is_deep(text: str) -> bool:
+    """Whether values of a text are nested too deeply.
 
-
-def _has_many(text: str, begin: int, end: int) -> bool:
-    """Whether a text has so many mappings and lists that it could be too deep. Few objects do, and counting costs little."""
-    opened = sum(text.count(bracket, begin, end) for bracket in "{[")
-    return opened - sum(text.count(empty, begin, end) for empty in ("{}", "[]")) >= DEEPEST_OBJECT
+    The text itself is counted, without a loop over its values in Python: half a million of them fit into an object. Few objects have
+    enough mappings and lists to be too deep.
+    """
+    if sum(text.count(bracket) for bracket in "{[") <= DEEPEST_OBJECT:
+        return False
+    outside_strings = "".join(text.replace("\\\\", "").replace('\\"', "").split('"')[::2])
+    brackets = outside_strings.encode().translate(_ONE_KIND, _OTHERS)
+    # The innermost level is most of what a wide object has.
+    steps = array("b", brackets.replace(b"[]", b"").translate(_STEPS))
+    return max(itertools.accumulate(steps), default=0) >= DEEPEST_OBJECT
 
 
 def _cut(text: str) -> str:

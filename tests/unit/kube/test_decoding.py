@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import json
+import random
 from collections.abc import Callable
 
 import pytest
@@ -30,6 +31,39 @@ def test_a_value_at_the_limit_is_kept_and_one_below_it_is_cut() -> None:
     for _ in range(DEEPEST_OBJECT // 2):
         found = found["a"][0] if isinstance(found["a"], list) else found["a"]
     assert found == {"a": [None]} or found == {"a": None}
+
+
+def drawn(choices: random.Random, depth: int) -> object:
+    """Return a value of at most this depth, with brackets, quotes and backslashes in its strings."""
+    kind = choices.random()
+    if depth <= 0 or kind < 0.15:
+        return choices.choice([1, 'a[{"', "\\", '\\\\"]', None, [], {}, [1, 2]])
+    if kind < 0.6:
+        return [drawn(choices, depth - 1) for _ in range(choices.choice([1, 1, 1, 2]))]
+    return {choices.choice(['k"', "k\\", "["]): drawn(choices, depth - 1)}
+
+
+def cut(value: object, depth: int = 1) -> object:
+    """Return the value with None for all that is nested too deeply."""
+    if not isinstance(value, dict | list):
+        return value
+    if depth > DEEPEST_OBJECT:
+        return None
+    if isinstance(value, dict):
+        return {key: cut(inner, depth + 1) for key, inner in value.items()}
+    return [cut(inner, depth + 1) for inner in value]
+
+
+@pytest.mark.parametrize("depth", [0, *range(DEEPEST_OBJECT - 3, DEEPEST_OBJECT + 2)])
+def test_only_what_is_too_deep_is_cut(depth: int) -> None:
+    choices = random.Random(depth)
+    for many in (1, 3, 30, 250):
+        value: object = [drawn(choices, choices.randrange(8)) for _ in range(many)]
+        for _ in range(depth):
+            value = choices.choice([[value], {'b\\"': value}])
+        text = json.dumps(value)
+        assert decode(text) == cut(value)
+        assert list(decode_each(f"{text} ,{text}")) == [cut(value)] * 2
 
 
 def test_each_value_is_decoded_on_its_own() -> None:

@@ -12,6 +12,7 @@ alone, the result is defined.
 from __future__ import annotations
 
 import ast
+import functools
 import math
 import operator
 import re
@@ -50,6 +51,9 @@ MOST_NODES = 100
 
 DEEPEST = 24
 """Greatest depth of an expression."""
+
+REMEMBERED = 2048
+"""Number of conditions that are remembered once they are parsed. The largest tree has half as many."""
 
 MOST_LOOPS = 4
 """Greatest number of ``any`` and ``all`` in an expression."""
@@ -116,10 +120,7 @@ class Expression:
 
         Raises ExpressionError.
         """
-        text = text.strip()
-        compiler, tree = _read(text, type_name, fields, _EXAMPLE)
-        evaluate = compiler.truth(tree, 1)
-        return cls(text, evaluate, compiler.shown[:SHOWN])
+        return _condition(text.strip(), type_name, fields)
 
     def holds(self, message: object) -> bool:
         """Return whether it holds for a message. Raises Undefined."""
@@ -150,9 +151,7 @@ class Quantity:
     def parse(cls, text: str, type_name: str = "", fields: Fields | None = None) -> Quantity:
         """Parse a number over messages of a type, whose fields are checked if they are known. Raises
         ExpressionError."""
-        text = text.strip()
-        compiler, tree = _read(text, type_name, fields, "a number such as distance_remaining")
-        return cls(text, compiler.number(tree, 1))
+        return _quantity(text.strip(), type_name, fields)
 
     def value(self, message: object) -> float:
         """Return its value for a message, which is finite. Raises Undefined."""
@@ -163,6 +162,19 @@ class Quantity:
         if not math.isfinite(value):
             raise Undefined(f"{self.text:.80} is {value:g}")
         return value
+
+
+@functools.lru_cache(maxsize=REMEMBERED)
+def _condition(text: str, type_name: str, fields: Fields | None) -> Expression:
+    compiler, tree = _read(text, type_name, fields, _EXAMPLE)
+    evaluate = compiler.truth(tree, 1)
+    return Expression(text, evaluate, compiler.shown[:SHOWN])
+
+
+@functools.lru_cache(maxsize=REMEMBERED)
+def _quantity(text: str, type_name: str, fields: Fields | None) -> Quantity:
+    compiler, tree = _read(text, type_name, fields, "a number such as distance_remaining")
+    return Quantity(text, compiler.number(tree, 1))
 
 
 def _read(text: str, type_name: str, fields: Fields | None, example: str) -> tuple[_Compiler, ast.expr]:

@@ -17,10 +17,12 @@ from understudy.kube.watched_collection import Reflector
 from understudy.monitor.observe.objects import long_trees
 from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.wakeups import Wakeups
+from understudy.ros.runtime.interface_types import message_fields
 from understudy.trees.languages import procedure_notations
 from understudy.trees.languages.notations import load_monitoring
 from understudy.trees.languages.osc import grammar
 from understudy.trees.languages.procedure_notations import composed
+from understudy.trees.source import expressions
 
 PROCEDURE = 'import osc.understudy\nscenario bring_up:\n    do serial:\n        wait_for("/scan", "sensor_msgs/msg/LaserScan")\n'
 
@@ -138,6 +140,60 @@ async def test_accepted_long_trees_are_parsed_by_another_thread(
     assert len(load_monitoring(view.policy.monitoring).topics) == 200
     assert parsing
     assert threading.get_ident() not in parsing
+
+
+LONG_CONDITION = "percentage > 0.15" + " or percentage > 0.15" * 20
+"""Takes 0.3 ms to parse."""
+
+
+def policy_with_conditions(number: int, **status: Any) -> Object:
+    """A policy with conditions that all differ, in the short form."""
+    found = world.policy("Restart")
+    leaves = [
+        {
+            "value": {
+                "topic": f"/a{index}",
+                "type": "sensor_msgs/msg/BatteryState",
+                "holds": f"{LONG_CONDITION} or voltage > {index}",
+            }
+        }
+        for index in range(number)
+    ]
+    found["spec"]["monitoring"] = {"yaml": {"parallel": leaves}}
+    return found | {"status": status}
+
+
+async def test_many_long_conditions_are_parsed_by_another_thread(
+    view: ClusterView, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A thousand of them take 0.3 s, in which the event loop would do nothing else (fuzz seed 319940)."""
+    policy, spec, threads, read = view.policy, view.spec, set[int](), expressions._read
+    assert spec is not None
+    expressions._condition.cache_clear()
+
+    def noting(*arguments: Any) -> Any:
+        threads.add(threading.get_ident())
+        return read(*arguments)
+
+    monkeypatch.setattr(expressions, "_read", noting)
+    change(view.policies, policy_with_conditions(200))
+    assert view.policy is policy, "the operator has not accepted them"
+    async with asyncio.TaskGroup() as group:
+        monkeypatch.setattr(view, "_group", group)
+        view._referred = spec.failure_policy_ref.name  # its watch runs elsewhere
+        change(view.policies, policy_with_conditions(200, **accepted("Accepted")), version="100")
+        assert view.policy is policy
+    assert view.policy is not policy
+    assert view.policy is not None
+    assert len(load_monitoring(view.policy.monitoring, fields=message_fields).topics) == 200
+    assert len(threads) == 1
+    assert threading.get_ident() not in threads
+
+
+async def test_few_conditions_are_read_at_once(view: ClusterView) -> None:
+    policy = view.policy
+    change(view.policies, policy_with_conditions(20))
+    assert view.policy is not policy
 
 
 async def test_trees_that_cannot_be_read_are_not_followed(
