@@ -21,13 +21,11 @@ LONG = 100_000
 """Characters of a text from which on collections of garbage would take long."""
 
 _DECODER = json.JSONDecoder()
-_ONE_KIND = bytes.maketrans(b"{}", b"[]")
+_BRACKET = re.compile(r"[][{}]")
 _OTHERS = bytes(set(range(256)) - set(b"[]{}"))
-_STEPS = bytes.maketrans(b"[]", b"\x01\xff")
+_STEPS = bytes.maketrans(b"[{]}", b"\x01\x01\xff\xff")
 """What each bracket adds to the depth, as signed bytes."""
 _BETWEEN = re.compile(r"[\s,]*")
-_TOKEN = re.compile(r'"[^"\\]*(?:\\.[^"\\]*)*"|[][{}]')
-"""A string, in which brackets do not count, or a bracket."""
 
 
 def decode(text: str | bytes) -> Any:
@@ -49,8 +47,48 @@ def decode_each(text: str) -> Iterator[Any]:
 
 
 def bounded(text: str) -> str:
-    """Return the text of values with null for those that are nested too deeply."""
-    return _cut(text) if _is_deep(text) else text
+    """Return the text of values with null for those that are nested too deeply.
+
+    Half a million values fit into an object, so no loop in Python visits them all. Few objects have enough mappings and lists to be too
+    deep.
+    """
+    if sum(text.count(bracket) for bracket in "{[") <= DEEPEST_OBJECT:
+        return text
+    parts = text.replace("\\\\", "__").replace('\\"', "__").split('"')
+    parts[1::2] = map("_".__mul__, map(len, parts[1::2]))  # brackets in strings do not count
+    without_strings = '"'.join(parts)
+    depths = list(itertools.accumulate(array("b", without_strings.encode().translate(_STEPS, _OTHERS))))
+    if max(depths, default=0) <= DEEPEST_OBJECT:
+        return text
+    kept, end, places = [], 0, _Places(without_strings)
+    for first, last in _spans(depths):
+        kept.append(text[end : places.of(first)])
+        end = places.of(last) + 1
+    return "null".join([*kept, text[end:]])
+
+
+def _spans(depths: list[int]) -> Iterator[tuple[int, int]]:
+    """Yield the first and the last bracket of each value that is too deep, given the depth after each bracket."""
+    depths.append(DEEPEST_OBJECT)  # a malformed text may end within such a value
+    last = -1
+    with contextlib.suppress(ValueError):  # there are no more
+        while True:
+            first = depths.index(DEEPEST_OBJECT + 1, last + 1)
+            last = depths.index(DEEPEST_OBJECT, first)
+            yield first, last
+
+
+class _Places:
+    """Where the brackets of a text are, asked for in ascending order."""
+
+    def __init__(self, text: str) -> None:
+        self._text, self._brackets, self._next = text, _BRACKET.finditer(text), 0
+
+    def of(self, number: int) -> int:
+        """Return the place of a bracket; the end of the text if it has fewer."""
+        found = next(itertools.islice(self._brackets, number - self._next, None), None)
+        self._next = number + 1
+        return len(self._text) if found is None else found.start()
 
 
 @contextlib.contextmanager
@@ -70,37 +108,6 @@ def _uncollected(text: str) -> Iterator[None]:
         if paused:
             gc.freeze()
             gc.enable()
-
-
-def _is_deep(text: str) -> bool:
-    """Whether values of a text are nested too deeply.
-
-    The text itself is counted, without a loop over its values in Python: half a million of them fit into an object. Few objects have
-    enough mappings and lists to be too deep.
-    """
-    if sum(text.count(bracket) for bracket in "{[") <= DEEPEST_OBJECT:
-        return False
-    outside_strings = "".join(text.replace("\\\\", "").replace('\\"', "").split('"')[::2])
-    brackets = outside_strings.encode().translate(_ONE_KIND, _OTHERS)
-    # The innermost level is most of what a wide object has.
-    steps = array("b", brackets.replace(b"[]", b"").translate(_STEPS))
-    return max(itertools.accumulate(steps), default=0) >= DEEPEST_OBJECT
-
-
-def _cut(text: str) -> str:
-    """Return the text with null for values that are nested too deeply. This takes several times as long as decoding it."""
-    kept, depth, begin = [], 0, 0
-    for token in _TOKEN.finditer(text):
-        bracket = text[token.start()]
-        if bracket in "{[":
-            depth += 1
-            if depth == DEEPEST_OBJECT + 1:
-                kept.append(text[begin : token.start()])
-        elif bracket in "}]":
-            if depth == DEEPEST_OBJECT + 1:
-                begin = token.end()
-            depth -= 1
-    return "null".join([*kept, text[begin:]])
 
 
 def _after(text: str, at: int) -> int:
