@@ -34,10 +34,10 @@ def has_too_many(value: Any, most: int = MOST_VALUES) -> bool:
     return False
 
 
-def is_too_deep(value: Any, deepest: int = DEEPEST) -> bool:
-    """Whether mappings and lists are nested in a value of JSON more than ``deepest`` levels deep."""
+def is_too_deep(value: Any) -> bool:
+    """Whether mappings and lists are nested in a value of JSON more than DEEPEST levels deep."""
     level = [value]
-    for _ in range(deepest + 1):
+    for _ in range(DEEPEST + 1):
         level = [inner for outer in level for inner in _inner(outer) if type(inner) in _CONTAINERS]
         if not level:
             return False
