@@ -85,8 +85,10 @@ def test_the_mux_switches_to_the_admitted_standby_by_itself(kubectl: Kubectl) ->
     eventually(lambda: reported(robot, recovery.new), within=30, what="the switch is committed", note=robot.describe)
 
 
-def test_instances_in_the_network_of_their_node_drive_through_the_mux(kubectl: Kubectl) -> None:
+@pytest.mark.parametrize("together", [False, True], ids=["nodes", "node"])
+def test_instances_in_the_network_of_their_node_drive_through_the_mux(kubectl: Kubectl, together: bool) -> None:
     robot = Robot(kubectl)
+    first_node = kubectl.list("nodes")[0]["metadata"]["name"]
     # Pod Security allows the network of the node at this level only.
     kubectl("label", "namespace", kubectl.namespace, "pod-security.kubernetes.io/enforce=privileged")
     kubectl.apply(patient(manifest("strategies/executing.yaml")))
@@ -94,6 +96,8 @@ def test_instances_in_the_network_of_their_node_drive_through_the_mux(kubectl: K
     def edit(item: Object) -> None:
         pod = item["spec"]["template"]["spec"]
         pod |= {"hostNetwork": True, "dnsPolicy": "ClusterFirstWithHostNet"}
+        if together:
+            pod["nodeSelector"] = {"kubernetes.io/hostname": first_node}
         # The application names itself so in its commands. Otherwise it would use the name of the node.
         name = {"name": "HOSTNAME", "valueFrom": {"fieldRef": {"fieldPath": "metadata.name"}}}
         pod["containers"][0]["env"] = [name]
@@ -101,7 +105,7 @@ def test_instances_in_the_network_of_their_node_drive_through_the_mux(kubectl: K
     kubectl.apply(robot.objects(policy="quickstart-executing", folder="mux/", edit=edit))
     first = robot.wait_protected()
     nodes = {pod["spec"]["nodeName"] for pod in robot.pods() if pod["spec"].get("hostNetwork")}
-    assert len(nodes) == 2, "each on its own node"
+    assert len(nodes) == (1 if together else 2)
     never([c for c in robot.log().commands if c.source != first], "commands of a standby")
     robot.fail(first, "frozen")
     recovery = robot.wait_recovered(1)

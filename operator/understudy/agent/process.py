@@ -69,8 +69,8 @@ async def _run(identity: PodIdentity, probes: ProbeSender) -> None:
         return (200, "ready\n") if status.ready else (503, f"{status.phase}: {status.reason}\n")
 
     pages = {"/ready": ready, "/healthz": lambda: (200, "ok\n")}
-    control = await sessions.serve(int(os.environ.get("UNDERSTUDY_AGENT_PORT", names.AGENT_PORT)))
-    health = await serve(pages, int(os.environ.get("UNDERSTUDY_AGENT_HEALTH_PORT", names.AGENT_HEALTH_PORT)))
+    control = await sessions.serve(int(os.environ.get(names.AGENT_PORT_VARIABLE, names.AGENT_PORT)))
+    health = await serve(pages, int(os.environ.get(names.AGENT_HEALTH_PORT_VARIABLE, names.AGENT_HEALTH_PORT)))
     probes.run()
     await agent.begin()
     _logger.info("agent of %s%s", identity.pod, ", held" if agent.held else "")

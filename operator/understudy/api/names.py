@@ -122,6 +122,16 @@ AGENT_PORT = 8950
 AGENT_HEALTH_PORT = 8951
 """TCP port of the agent's readiness probe."""
 
+NODE_AGENT_PORTS = range(20000, 30000)
+"""TCP ports of agents in the network of their node: two of them for each, below those of Services and outgoing connections."""
+
+AGENT_PORT_NAME = "us-agent"
+"""Name of AGENT_PORT in the agent's container. A monitor finds the port of an agent by it."""
+
+AGENT_PORT_VARIABLE = "UNDERSTUDY_AGENT_PORT"
+AGENT_HEALTH_PORT_VARIABLE = "UNDERSTUDY_AGENT_HEALTH_PORT"
+"""Environment of an agent that listens on other ports."""
+
 METRICS_PORT = 9108
 """TCP port of the monitor's and the operator's Prometheus metrics and health pages."""
 

@@ -12,6 +12,7 @@ from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from understudy.api import names
 from understudy.api.protocol.agent_messages import PROTOCOL
 from understudy.api.protocol.kept_state import KeptState, RestoreReport
 from understudy.failover.bring_up import BringUp
@@ -68,6 +69,8 @@ class Instance:
     has_agent: bool = True
     agent_protocol: int = PROTOCOL
     """Version of the agents' protocol that its agent knows at least."""
+    agent_port: int = names.AGENT_PORT
+    """TCP port of its agent's control channel."""
     claim: str = ""
     template_hash: str = ""
     created: str = ""

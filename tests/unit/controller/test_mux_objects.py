@@ -13,6 +13,7 @@ from understudy.api import names
 from understudy.controller.observed import kube_objects
 from understudy.controller.plan import Plan
 from understudy.kube.client import Object
+from understudy.monitor.act.objects.pod_control import instance_of
 from understudy.ros.rmw import MIDDLEWARE
 
 PARTITION = "understudy-${UNDERSTUDY_POD}"
@@ -118,6 +119,44 @@ def test_the_monitor_receives_instances_that_have_the_addresses_of_their_nodes()
     for spec, is_open in (({"template": template}, True), ({}, False)):
         rule = applied(plan(**spec), "networkpolicies")["w-control-plane"]["spec"]["ingress"][0]
         assert ("from" not in rule) == is_open
+
+
+def pods(*, ports: tuple[int, ...] = (), **spec: Any) -> list[Object]:
+    """The pods of a workload: that of its ReplicaSet, and its standbys."""
+    template = copy.deepcopy(TEMPLATE)
+    template["spec"] |= spec
+    template["spec"]["containers"][0]["ports"] = [{"containerPort": port} for port in ports]
+    found = plan(template=template)
+    source = applied(found, "replicasets")["w"]["spec"]["template"]
+    return [source, *created(found, "pods")]
+
+
+def listening(pod: Object) -> tuple[int, int]:
+    """The ports at which the agent of a pod listens."""
+    agent = next(c for c in pod["spec"]["containers"] if c["name"] == names.AGENT_CONTAINER)
+    variables = {entry["name"]: entry.get("value") for entry in agent["env"]}
+    control = int(variables.get(names.AGENT_PORT_VARIABLE, names.AGENT_PORT))
+    health = int(variables.get(names.AGENT_HEALTH_PORT_VARIABLE, names.AGENT_HEALTH_PORT))
+    assert [port["containerPort"] for port in agent["ports"]] == [control, health]
+    assert agent["readinessProbe"]["httpGet"]["port"] == health
+    assert instance_of({**pod, "metadata": {"name": "w-x", "uid": "u"}}).agent_port == control
+    return control, health
+
+
+def test_agents_in_the_network_of_one_node_have_different_ports() -> None:
+    active, standby = map(listening, pods(hostNetwork=True))
+    assert len({*active, *standby}) == 4
+    assert {*active, *standby} <= set(names.NODE_AGENT_PORTS)
+
+
+def test_an_agent_leaves_the_ports_of_the_application_alone() -> None:
+    (_, health), *_ = map(listening, pods(hostNetwork=True))
+    moved, *_ = map(listening, pods(hostNetwork=True, ports=(health,)))
+    assert health not in moved
+
+
+def test_an_agent_in_a_network_of_its_own_has_the_usual_ports() -> None:
+    assert set(map(listening, pods())) == {(names.AGENT_PORT, names.AGENT_HEALTH_PORT)}
 
 
 def test_the_pods_of_a_referred_controller_are_refused() -> None:

@@ -220,21 +220,6 @@ class TestPodDiagnosis:
         assert found.reason == "Unschedulable"
         assert "0/3 nodes" in found.message
 
-    def test_a_pod_whose_ports_another_instance_has_on_each_node_is_reported(self) -> None:
-        item = pod("a", ready=False)
-        item["spec"] = {"hostNetwork": True}
-        words = "0/2 nodes are available: 2 node(s) didn't have free ports for the requested pod ports."
-        item["status"]["conditions"].append(
-            {"type": "PodScheduled", "status": "False", "reason": "Unschedulable", "message": words}
-        )
-        found = trouble(item)
-        assert found is not None
-        assert "add a node for each instance" in found.message
-        item["spec"] = {}
-        without = trouble(item)
-        assert without is not None
-        assert "add a node" not in without.message
-
     def test_the_message_about_a_crash_loop_does_not_change_with_the_back_off(self) -> None:
         def crash(delay: str) -> Object:
             item = pod("a", ready=False, waiting="CrashLoopBackOff")

@@ -90,7 +90,8 @@ def pod_of(instance: Instance, workload: str = "w") -> Object:
     if instance.crashing:
         container["state"] = {"waiting": {"reason": "CrashLoopBackOff"}}
     knows = [{"name": names.AGENT_PROTOCOL_VARIABLE, "value": str(instance.agent_protocol)}]
-    agent = {"name": names.AGENT_CONTAINER, "env": knows if instance.agent_protocol > 1 else []}
+    ports = [{"name": names.AGENT_PORT_NAME, "containerPort": instance.agent_port}]
+    agent = {"name": names.AGENT_CONTAINER, "ports": ports, "env": knows if instance.agent_protocol > 1 else []}
     containers = [{"name": "drive"}, *([agent] if instance.has_agent else [])]
     return {
         "metadata": metadata,

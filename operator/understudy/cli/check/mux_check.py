@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from understudy.api import names
-from understudy.api.kinds.fallback_pool import has_standbys
 from understudy.cli.manifests import mux_container
 from understudy.cli.manifests.check_findings import Finding
 from understudy.cli.manifests.manifest_reader import Manifest, at, items
@@ -15,7 +14,6 @@ from understudy.kube.gates.base import GateKind
 from understudy.ros.rmw import MIDDLEWARE
 
 _TEMPLATES = ("Deployment", "StatefulSet", "DaemonSet", "ReplicaSet")
-_HOSTNAME = "kubernetes.io/hostname"
 
 
 def check(ours: Sequence[Manifest], others: Sequence[Manifest]) -> Iterator[Finding]:
@@ -40,7 +38,6 @@ def check(ours: Sequence[Manifest], others: Sequence[Manifest]) -> Iterator[Find
             )
             yield workload.finding("spec.gate.kind", message, warning=True)
         yield from _without_effect(workload)
-        yield from _on_one_node(workload, ours)
         yield from _beside(workload, ours)
 
 
@@ -89,22 +86,6 @@ def _without_effect(workload: Manifest) -> Iterator[Finding]:
     if items(workload.data, "spec", "gate", "reflex", "accept"):
         message = "has no effect with a mux, which switches all outputs at once; remove it"
         yield workload.finding("spec.gate.reflex.accept", message, warning=True)
-
-
-def _on_one_node(workload: Manifest, ours: Sequence[Manifest]) -> Iterator[Finding]:
-    """Report standbys in the network of their node if all instances must be on the same node: two agents cannot have the same ports."""
-    pod = at(workload.data, "spec", "template", "spec")
-    selector = at(pod, "nodeSelector")
-    named = at(pod, "nodeName") or (selector.get(_HOSTNAME) if isinstance(selector, Mapping) else None)
-    if at(pod, "hostNetwork") is not True or not named:
-        return
-    standbys = [pool.name for pool in _pools(workload, ours) if has_standbys(at(pool.data, "spec", "readiness"))]
-    if standbys:
-        message = (
-            f"all instances must be on node {named}, and two instances in the network of one node cannot start, because their agents "
-            f"have the same ports: the standbys of {', '.join(standbys)} would never run. Let the template select several nodes"
-        )
-        yield workload.finding("spec.template.spec.hostNetwork", message, warning=True)
 
 
 def _beside(workload: Manifest, ours: Sequence[Manifest]) -> Iterator[Finding]:

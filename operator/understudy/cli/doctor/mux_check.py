@@ -1,4 +1,4 @@
-"""Checks what workloads with a mux need, by requests to the API server: their objects, the pod of the mux, and enough nodes."""
+"""Checks what workloads with a mux need, by requests to the API server: their objects, and the pod of the mux."""
 
 from __future__ import annotations
 
@@ -6,12 +6,11 @@ from collections.abc import Iterator, Sequence
 
 from understudy.api import names
 from understudy.cli.common.cluster_access.kubectl_proxy import Api, Refused
-from understudy.cli.common.text.wording import counted
 from understudy.cli.doctor.findings import Finding
 from understudy.cli.manifests import mux_container
 from understudy.controller.observed import kube_objects
 from understudy.controller.observed.pod_diagnosis import trouble
-from understudy.kube.client import CONFIG_MAPS, NODES, PODS, SECRETS, Object, Resource
+from understudy.kube.client import CONFIG_MAPS, PODS, SECRETS, Object, Resource
 from understudy.kube.gates import registry
 from understudy.kube.gates.base import GateRecord
 from understudy.kube.gates.mux_reports import NO_MUX
@@ -21,7 +20,7 @@ _NO_REPORT = (NO_MUX, "Settling")
 
 
 def check(api: Api, namespace: str, workloads: Sequence[Object]) -> Iterator[Finding]:
-    """Yield a finding for each workload with a mux, and those about its gate and the nodes of its instances if something is wrong."""
+    """Yield a finding for each workload with a mux, and one about its gate if something is wrong."""
     muxed = [one for one in workloads if registry.of(one).is_at_robot]
     if not muxed:
         return
@@ -29,7 +28,6 @@ def check(api: Api, namespace: str, workloads: Sequence[Object]) -> Iterator[Fin
     for workload in muxed:
         yield _mux(api, namespace, workload, pods)
         yield from _gate(api, namespace, workload)
-    yield from _nodes(api, muxed, pods)
 
 
 def _mux(api: Api, namespace: str, workload: Object, pods: Sequence[Object]) -> Finding:
@@ -93,31 +91,6 @@ def _gate(api: Api, namespace: str, workload: Object) -> Iterator[Finding]:
             "FAIL",
             f"{what} lets through {', '.join(kind.let_through(gate)) or 'nobody'}, but its record names {record.active or 'nobody'}",
             "somebody else has written it. The mux follows the record; the operator restores the rest unless the workload is paused",
-        )
-
-
-def _nodes(api: Api, workloads: Sequence[Object], pods: Sequence[Object]) -> Iterator[Finding]:
-    """Check whether there are enough nodes for instances in the network of their node."""
-    ours = set(map(kube_objects.name, workloads))
-    instances = [
-        pod
-        for pod in pods
-        if kube_objects.alive(pod)
-        and pod["spec"].get("hostNetwork")
-        and (pod["metadata"].get("labels") or {}).get(names.WORKLOAD) in ours
-    ]
-    if not instances:
-        return
-    try:
-        nodes = [node for node in api.get(NODES.path(None))["items"] if not node["spec"].get("unschedulable")]
-    except Refused:
-        return
-    if len(instances) > len(nodes):
-        yield Finding(
-            "nodes",
-            "FAIL",
-            f"{counted(len(instances), 'instance')} in the network of their nodes (hostNetwork), for {counted(len(nodes), 'node')}",
-            "two of them cannot run on one node, because their agents have the same ports: add nodes, or remove standbys (perWorkload)",
         )
 
 

@@ -72,7 +72,9 @@ def plan(observed: Observed, workload_plan: WorkloadPlan, images: Images, fresh:
     _monitor(made, observed, workload_plan, images, environment)
     if spec.template is not None:
         if standby_pods.awaited(observed, workload_plan) is None:
-            body = instance_pod.replica_set(workload_plan.builts[""], kube_objects.name(workload))
+            body = instance_pod.replica_set(
+                workload_plan.builts[""], kube_objects.name(workload), workload["metadata"]["namespace"]
+            )
             made.writes.append(_ours(observed, REPLICA_SETS, body))
         standby_pods.scale(made, observed)
     for pool in sorted(workload_plan.builts):

@@ -21,9 +21,6 @@ _ADVICE = {
     "StartError": "Check that the command exists in the image",
     "Unschedulable": "No node accepts the pod: check its requests, its nodeSelector and the free resources of the nodes",
 }
-_PORTS_TAKEN = "free ports"
-"""Part of the scheduler's message if the ports of a pod in the network of its node are taken."""
-
 _CRASHES = 2
 _SAME = {"ErrImagePull": "ImagePullBackOff", "ImageInspectError": "ImagePullBackOff"}  # they alternate for one cause
 
@@ -77,11 +74,6 @@ def _diagnosis(pod: Object, reason: str, container: str, what: str, found: Objec
     name, namespace = kube_objects.name(pod), pod["metadata"].get("namespace", "")
     words = _steady(found.get("message", ""), name)
     advice = _ADVICE[reason].format(namespace=namespace, pod=name, container=container)
-    if reason == "Unschedulable" and (pod.get("spec") or {}).get("hostNetwork") and _PORTS_TAKEN in words:
-        advice = (
-            "It is in the network of its node, where another instance has the ports of its agent: add a node for each instance, or remove "
-            "standbys"
-        )
     detail = f": {words}" if words else ""
     return Diagnosis(reason, f"pod {name}: {what} cannot start, {reason}{detail}. {advice}.")
 

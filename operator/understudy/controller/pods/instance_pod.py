@@ -264,7 +264,7 @@ def pod(
             **({"annotations": noted} if noted else {}),
             "ownerReferences": [owner],
         },
-        "spec": built["spec"],
+        "spec": _on_node(built["spec"], f"{namespace}/{name}"),
     }
 
 
@@ -274,17 +274,56 @@ def trial(built: Object, kind: str, item: Object) -> Object:
     return pod(built, name=name, namespace=namespace, owner=kube_objects.owner(kind, item))
 
 
-def replica_set(built: Object, workload: str) -> Object:
+def replica_set(built: Object, workload: str, namespace: str) -> Object:
     """Return the ReplicaSet for a workload's template. It replaces a deleted pod while the operator is down.
 
     ``replicas`` is omitted: it starts at one, and then only the scale subresource changes it.
     """
     selector = {names.WORKLOAD: workload, names.COMPONENT: "instance", names.SOURCE: "workload"}
+    template = {**built, "spec": _on_node(built["spec"], f"{namespace}/{workload}")}
     return {
         "apiVersion": "apps/v1",
         "kind": "ReplicaSet",
         "metadata": {"name": workload, "labels": {names.COMPONENT: "instance"}},
-        "spec": {"selector": {"matchLabels": selector}, "template": built},
+        "spec": {"selector": {"matchLabels": selector}, "template": template},
+    }
+
+
+def _on_node(spec: Object, name: str) -> Object:
+    """Return the spec of a pod. In the network of its node, its agent has ports that depend on the pod's name.
+
+    All pods in this network share its ports, so two agents there need different ones. Kubernetes counts the ports of a
+    container as ports of the node then, and chooses another node if they are taken.
+    """
+    if not spec.get("hostNetwork"):
+        return spec
+    *others, agent = spec["containers"]
+    taken = {port.get("containerPort") for container in others for port in container.get("ports") or []}
+    pairs = names.NODE_AGENT_PORTS[::2]
+    first = int(digest(name), 16) % len(pairs)
+    control = next(port for port in [*pairs[first:], *pairs[:first]] if not taken & {port, port + 1})
+    return {**spec, "containers": [*others, {**agent, **_listening(control, control + 1, agent["env"])}]}
+
+
+def _listening(control: int, health: int, environment: Sequence[Object]) -> Object:
+    """Return the fields of the agent's container that depend on its ports."""
+    other = {
+        names.AGENT_PORT_VARIABLE: (control, names.AGENT_PORT),
+        names.AGENT_HEALTH_PORT_VARIABLE: (health, names.AGENT_HEALTH_PORT),
+    }
+    chosen = {key: str(port) for key, (port, usual) in other.items() if port != usual}
+    return {
+        "env": [*variables(chosen), *environment],
+        "ports": [
+            {"name": names.AGENT_PORT_NAME, "containerPort": control, "protocol": "TCP"},
+            {"name": "us-health", "containerPort": health, "protocol": "TCP"},
+        ],
+        "readinessProbe": {
+            "httpGet": {"path": "/ready", "port": health},
+            "periodSeconds": 1,
+            "timeoutSeconds": 1,
+            "failureThreshold": 2,
+        },
     }
 
 
@@ -427,28 +466,19 @@ def _agent(recipe: Recipe, held: Sequence[str], fenced: Sequence[str], unfenced:
         "ROS_LOG_DIR": f"{names.MEMORY_DIR}/log",
         **MIDDLEWARE.introspecting(recipe.variables),
     }
+    environment = [
+        *variables(fixed),
+        from_field(names.POD_VARIABLE, "metadata.name"),
+        from_field(names.POD_UID_VARIABLE, "metadata.uid"),
+        from_field("UNDERSTUDY_POD_IP", "status.podIP"),
+    ]
     profiles = [_profiles_mount(recipe)] if recipe.profiles and not recipe.prepared else []
     return {
         "name": names.AGENT_CONTAINER,
         "image": recipe.images.monitor,
         "imagePullPolicy": recipe.images.pull_policy,
         "args": ["agent"],
-        "env": [
-            *variables(fixed),
-            from_field(names.POD_VARIABLE, "metadata.name"),
-            from_field(names.POD_UID_VARIABLE, "metadata.uid"),
-            from_field("UNDERSTUDY_POD_IP", "status.podIP"),
-        ],
-        "ports": [
-            {"name": "us-agent", "containerPort": names.AGENT_PORT, "protocol": "TCP"},
-            {"name": "us-health", "containerPort": names.AGENT_HEALTH_PORT, "protocol": "TCP"},
-        ],
-        "readinessProbe": {
-            "httpGet": {"path": "/ready", "port": names.AGENT_HEALTH_PORT},
-            "periodSeconds": 1,
-            "timeoutSeconds": 1,
-            "failureThreshold": 2,
-        },
+        **_listening(names.AGENT_PORT, names.AGENT_HEALTH_PORT, environment),
         "resources": resources(AGENT_REQUESTS, recipe.images.memory_limit),
         "securityContext": copy.deepcopy(HARDENED),
         "volumeMounts": [

@@ -145,7 +145,7 @@ class ActionProxyLink:
                         "uid": instance.uid,
                         "pod": instance.name,
                         "ip": instance.ip,
-                        "port": names.AGENT_PORT,
+                        "port": instance.agent_port,
                         "token": secret.token.decode(),
                         "key": secret.key.hex(),
                         "claim": instance.claim,

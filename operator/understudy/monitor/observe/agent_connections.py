@@ -140,7 +140,7 @@ class AgentConnections:
         if instance.uid not in self._links:
             self._links[instance.uid] = AgentLink(
                 instance.ip,
-                names.AGENT_PORT,
+                instance.agent_port,
                 secret,
                 self._view.workload,
                 instance.claim,

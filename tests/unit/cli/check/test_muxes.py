@@ -109,17 +109,6 @@ spec:
         assert "would reach the robot beside the mux" in finding.message
 
 
-def test_standbys_in_the_network_of_one_node_are_reported() -> None:
-    pinned = WORKLOAD.replace(
-        "      terminationGracePeriodSeconds",
-        "      hostNetwork: true\n      nodeSelector: {kubernetes.io/hostname: lab-1}\n      terminationGracePeriodSeconds",
-    )
-    finding = only(pinned, EXECUTING)
-    assert (finding.severity, finding.field) == ("warning", "spec.template.spec.hostNetwork")
-    assert_golden("check", finding.message, "node lab-1")
-    assert found(pinned.replace("kubernetes.io/hostname: lab-1", "zone: lab"), EXECUTING) == []
-
-
 def test_a_pool_whose_pods_would_bypass_the_mux_is_reported() -> None:
     shared = (EXAMPLE / "strategies/uninitialized.yaml").read_text()
     workload = WORKLOAD.replace("quickstart-executing", "quickstart-uninitialized")

@@ -12,13 +12,12 @@ import yaml
 from tests.support import fleet
 from tests.support.golden import assert_golden
 from tests.unit.cli.doctor.server import Server
-from tests.unit.controller import world
 from understudy.api import names
 from understudy.cli.common.cluster_access.kubectl_proxy import Refused
 from understudy.cli.doctor import mux_check
 from understudy.cli.doctor.command import monitor_findings, needs_network
 from understudy.cli.doctor.findings import Finding
-from understudy.kube.client import CONFIG_MAPS, LEASES, NODES, PODS, SECRETS, Object
+from understudy.kube.client import CONFIG_MAPS, LEASES, PODS, SECRETS, Object
 
 NAME = "robot-17-navigation"
 GONE = Refused(404, "not found")
@@ -36,11 +35,6 @@ def robot(name: str = "robot-17") -> Object:
     }
 
 
-def instance(name: str, **spec: Any) -> Object:
-    found = world.pod(name, labels={names.WORKLOAD: NAME})
-    return found | {"spec": {"containers": [], **spec}, "status": {"phase": "Running"}}
-
-
 def found(item: Object | None = None, pods: list[Object] | None = None, **changed: Any) -> list[Finding]:
     """What the check finds; ``changed`` has other answers of the API server."""
     item = item if item is not None else fleet.muxed()
@@ -49,7 +43,6 @@ def found(item: Object | None = None, pods: list[Object] | None = None, **change
         CONFIG_MAPS.path("fleet", f"{NAME}-mux"): changed.get("config_map", {}),
         SECRETS.path("fleet", f"{NAME}-mux"): changed.get("secret", {}),
         LEASES.path("fleet", f"{NAME}-gate"): changed.get("gate", fleet.gate(item, None, active=f"{NAME}-x8v2m")),
-        NODES.path(None): changed.get("nodes", {"items": [{"spec": {}}, {"spec": {"unschedulable": True}}]}),
     }
     return list(mux_check.check(Server(answers), "fleet", [item]))  # type: ignore[arg-type]
 
@@ -131,18 +124,6 @@ def test_a_missing_lease_and_one_that_differs_from_its_record_are_reported() -> 
     gate["spec"]["holderIdentity"] = "somebody"
     _, finding = found(gate=gate)
     assert_golden("doctor", [finding.found, finding.cure], "lets through somebody", f"names {NAME}-x8v2m")
-
-
-def test_more_instances_in_the_network_of_their_nodes_than_nodes_are_reported() -> None:
-    on_nodes = [instance(f"{NAME}-{number}", hostNetwork=True) for number in range(2)]
-    _, finding = found(pods=[robot(), *on_nodes])
-    assert (finding.check, finding.level) == ("nodes", "FAIL")
-    assert_golden("doctor", [finding.found, finding.cure], "2 instances", "1 node")
-    assert [one.level for one in found(pods=[robot(), on_nodes[0]])] == ["OK"]
-    assert [one.level for one in found(pods=[robot(), *on_nodes], nodes=FORBIDDEN)] == ["OK"]
-    interfaces = instance(f"{NAME}-1")
-    interfaces["metadata"]["annotations"] = {"k8s.v1.cni.cncf.io/networks": "lab"}
-    assert [one.level for one in found(pods=[robot(), interfaces])] == ["OK"]
 
 
 def test_the_network_is_tested_only_for_robots_whose_gates_it_enforces() -> None:

@@ -67,6 +67,7 @@ def test_a_pod_that_is_deleted_for_another_reason_is_leaving(conditions: list[di
         Instance("s-1", "u2", pool="spare", held=True, claim="u/1", template_hash="h", has_agent=False),
         Instance("w-2", "u3", running=True, terminating=True, evicted=True, restarts=2, crashing=True),
         Instance("w-3", "u4", running=True, agent_protocol=1),
+        Instance("w-4", "u5", running=True, agent_port=20002),
     ],
 )
 def test_the_pods_of_the_tests_represent_their_instances(instance: Instance) -> None:

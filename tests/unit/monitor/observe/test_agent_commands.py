@@ -5,7 +5,9 @@ from __future__ import annotations
 import asyncio
 import base64
 import contextlib
+import sys
 from collections.abc import AsyncIterator
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -51,11 +53,17 @@ class RecordingAgent:
         return [request["gate"]["epoch"] for request in self.requests if request["op"] == op]
 
 
+def listens_at(server: asyncio.Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the agent of INSTANCE be at this server."""
+    port = server.sockets[0].getsockname()[1]
+    monkeypatch.setattr(sys.modules[__name__], "INSTANCE", replace(INSTANCE, agent_port=port))
+
+
 @pytest.fixture
 async def agent(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[RecordingAgent]:
     made = RecordingAgent()
     server = await asyncio.start_server(made.session, "127.0.0.1", 0)
-    monkeypatch.setattr(names, "AGENT_PORT", server.sockets[0].getsockname()[1])
+    listens_at(server, monkeypatch)
     yield made
     server.close()
     for writer in made.writers:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import base64
 import contextlib
+import sys
 from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
 from typing import Any
@@ -55,11 +56,17 @@ class Agent:
                 await asyncio.sleep(0.2)
 
 
+def listens_at(server: asyncio.Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the agent of INSTANCE be at this server."""
+    port = server.sockets[0].getsockname()[1]
+    monkeypatch.setattr(sys.modules[__name__], "INSTANCE", replace(INSTANCE, agent_port=port))
+
+
 @pytest.fixture
 async def agent(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Agent]:
     made = Agent(b"second")
     server = await asyncio.start_server(made.session, "127.0.0.1", 0)
-    monkeypatch.setattr(names, "AGENT_PORT", server.sockets[0].getsockname()[1])
+    listens_at(server, monkeypatch)
     yield made
     server.close()
     for writer in made.writers:
@@ -261,7 +268,7 @@ async def test_an_old_agent_is_followed_where_its_pods_spec_says_that_it_is_old(
             await old_session(reader, writer, uid=INSTANCE.uid, token=b"second")
 
     server = await asyncio.start_server(session, "127.0.0.1", 0)
-    monkeypatch.setattr(names, "AGENT_PORT", server.sockets[0].getsockname()[1])
+    listens_at(server, monkeypatch)
     client, agents = connections()
     await keep(client, b"second")
     agents.follow([INSTANCE])

@@ -68,6 +68,7 @@ def instance_of(pod: Object) -> Instance:
         node=pod["spec"].get("nodeName") or "",
         has_agent=agent is not None,
         agent_protocol=_protocol(agent) if agent is not None else PROTOCOL,
+        agent_port=_port(agent) if agent is not None else names.AGENT_PORT,
         claim=(metadata.get("annotations") or {}).get(names.CLAIM, ""),
         template_hash=labels.get(names.TEMPLATE_HASH, ""),
         created=metadata.get("creationTimestamp", ""),
@@ -90,6 +91,12 @@ def _protocol(agent: Object) -> int:
     if stated is None:
         return OLDEST_PROTOCOL
     return min(whole_number(stated or "") or PROTOCOL, PROTOCOL)
+
+
+def _port(agent: Object) -> int:
+    """Return the port of an agent's control channel. Only in the network of a node it is not the usual one."""
+    listed = agent.get("ports") or []
+    return next((p["containerPort"] for p in listed if p.get("name") == names.AGENT_PORT_NAME), names.AGENT_PORT)
 
 
 def is_stray(pod: Object, settings: WorkloadSettings) -> bool:
