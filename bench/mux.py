@@ -1,11 +1,12 @@
 """Measures what a mux costs between the instances and the robot, and how soon it switches.
 
-    scripts/bench mux [--minutes 10] [--switches 50] [--silences 20]
+    scripts/bench mux [--minutes 10] [--switches 50] [--silences 20] [--crashes 10]
 
 Two instances publish 100 messages/s each, in partitions of their own, and a robot without a profile receives what the
 real process of a mux forwards. The instances publish each message once more on a topic that no mux forwards. The added
 latency of a message is how much later the robot receives it by the mux than directly. Then orders switch between the
-instances, and standing orders replace one that is frozen (SIGSTOP). All processes run on this machine, over UDP.
+instances, and standing orders replace one that is frozen (SIGSTOP). At last the process that forwards is killed
+(SIGKILL). All processes run on this machine, over UDP.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from typing import Any
 
 from bench.results import Report, quantile
 from bench.roles import Role, answering, end_with_parent, environment, running, tell
+from understudy.process.restarts import STEADY
 
 MUXED, DIRECT, TYPE = "/cmd_vel", "/cmd_vel_direct", "geometry_msgs/msg/TwistStamped"
 INSTANCES = ("instance-1", "instance-2")
@@ -51,6 +53,7 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--switches", type=int, default=50)
     parser.add_argument("--silences", type=int, default=20)
+    parser.add_argument("--crashes", type=int, default=10)
     parser.add_argument("--role", help=argparse.SUPPRESS)
     options = parser.parse_args()
     environment()
@@ -64,6 +67,7 @@ def main() -> int:
         _steady(report, stand, options.minutes * 60)
         _orders(report, stand, options.switches)
         _silences(report, stand, options.silences)
+        _crashes(report, stand, options.crashes)
     report.note("load", f"two instances, each with {1 / PERIOD:g} messages/s of {TYPE}; one is forwarded")
     print(report.table())
     print(report.write())
@@ -116,8 +120,12 @@ class _Stand:
 
     def cpu(self) -> float:
         """Return the CPU seconds of the mux so far."""
-        tasks = Path(f"/proc/{self._mux.pid}/task")
-        return sum(int((task / "schedstat").read_text().split()[0]) for task in tasks.iterdir()) * 1e-9
+        tasks = [task for pid in (self._mux.pid, self.forwarder()) for task in Path(f"/proc/{pid}/task").iterdir()]
+        return sum(int((task / "schedstat").read_text().split()[0]) for task in tasks) * 1e-9
+
+    def forwarder(self) -> int:
+        """Return the process that forwards: another one starts it again when it crashes."""
+        return int(Path(f"/proc/{self._mux.pid}/task/{self._mux.pid}/children").read_text())
 
 
 @contextmanager
@@ -215,6 +223,20 @@ def _silences(report: Report, stand: _Stand, silences: int) -> None:
     report.figure(
         "gap of a silent instance", gaps, unit="ms", must={"p95": limit}, limit="deadline, 15 ms and a period"
     )
+
+
+def _crashes(report: Report, stand: _Stand, crashes: int) -> None:
+    """Measure how long the robot receives nothing if the process that forwards crashes."""
+    gaps: list[float] = []
+    stand.until_driven(INSTANCES[0])
+    for _ in range(crashes):
+        time.sleep(STEADY + 1.0)
+        stand.received()
+        os.kill(stand.forwarder(), signal.SIGKILL)
+        time.sleep(3.0)
+        times = [when for when, _, _, _, topic in stand.received() if topic == MUXED]
+        gaps.append(max(later - earlier for earlier, later in itertools.pairwise(times)) * 1000)
+    report.figure("gap of a mux that crashed", gaps, unit="ms", must={"p95": 1000.0})
 
 
 # -- roles ---------------------------------------------------------------------------------------------------------------

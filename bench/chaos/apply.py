@@ -301,17 +301,17 @@ class Faults:
     # -- the mux ---------------------------------------------------------------------------------------------------
 
     def _mux(self, fault: Fault) -> list[int]:
+        """Return the processes of a robot's mux: the last one forwards, and the first one keeps it running."""
         robot = self._robot(fault)
         pods = self._house_pods(robot.name) if robot.muxed else []
         pids = [pid for pod in pods for pid in process_ids(pod.uid, "mux")]
         if not pids:
             raise NotPossible(f"{robot.name} has no mux now")
-        return pids
+        return sorted(pids)
 
     @contextlib.contextmanager
     def _mux_kill(self, fault: Fault) -> Iterator[str]:
-        for pid in self._mux(fault):
-            os.kill(pid, signal.SIGKILL)
+        os.kill(self._mux(fault)[-1], signal.SIGKILL)
         yield self._robot(fault).name
 
     @contextlib.contextmanager

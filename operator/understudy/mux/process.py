@@ -1,4 +1,7 @@
-"""The process of a mux: joins the robot's graph, follows the writers of the instances, and runs the forwarder until SIGTERM."""
+"""The process of a mux: joins the robot's graph, follows the writers of the instances, and runs the forwarder until SIGTERM.
+
+Another process starts it again if it crashes, because nothing reaches the robot meanwhile.
+"""
 
 from __future__ import annotations
 
@@ -23,6 +26,8 @@ from understudy.api.protocol.mux_messages import derive, topics
 from understudy.mux.control_journal import ControlJournal
 from understudy.mux.forwarder import Forwarder
 from understudy.process import cpu_scheduling, json_logs
+from understudy.process.restarts import end_with_parent, keep_running
+from understudy.ros.rmw import MIDDLEWARE
 
 if TYPE_CHECKING:
     from understudy.ros.actions.forwarded_outputs import Route
@@ -64,23 +69,26 @@ def main(argv: list[str]) -> int:
     state = Path(os.environ.get(names.MUX_STATE_VARIABLE, STATE))
     state.mkdir(parents=True, exist_ok=True)
     cpu_scheduling.ask_for_short_slices()
-    asyncio.run(_run(namespace, workload, outputs, allowed, token, state))
-    return 0
+    settings = state / "profiles.xml"
+    settings.write_text(MIDDLEWARE.mux_settings(outputs))
+    os.environ[MIDDLEWARE.settings_variable] = str(settings)
+    # Each process that is started has these modules.
+    import understudy.ros.actions.forwarded_outputs
+    import understudy.ros.actions.text_exchange
+    import understudy.ros.observe.writer_instances  # noqa: F401
+
+    return keep_running(lambda: asyncio.run(_run(namespace, workload, outputs, allowed, token, state)))
 
 
 async def _run(
     namespace: str, workload: str, outputs: Sequence[Output], allowed: Collection[str], token: bytes, state: Path
 ) -> None:
-    from understudy.ros.rmw import MIDDLEWARE
-
-    settings = state / "profiles.xml"
-    settings.write_text(MIDDLEWARE.mux_settings(outputs))
-    os.environ[MIDDLEWARE.settings_variable] = str(settings)
     from understudy.ros.actions.forwarded_outputs import routes
     from understudy.ros.actions.text_exchange import TextExchange
     from understudy.ros.runtime.arrival_wakeups import ArrivalWakeups
     from understudy.ros.runtime.graph_node import Graph
 
+    end_with_parent()
     loop, stopping = asyncio.get_running_loop(), asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, stopping.set)

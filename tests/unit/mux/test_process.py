@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -31,6 +32,7 @@ from understudy.api.protocol.mux_messages import (
     read_report,
     topics,
 )
+from understudy.process.restarts import STEADY
 from understudy.ros.dds.profiles import muxed_profiles_xml
 
 pytestmark = pytest.mark.ros
@@ -141,6 +143,23 @@ def test_the_robot_receives_whom_the_newest_order_names_also_after_a_restart_of_
     stand.until("w-2")
     assert "of epoch 5" in stand.order(ORDER).refused
     assert stand.heard() == ["w-2"]
+
+
+def test_a_mux_that_crashes_goes_on_by_itself(stand: Stand) -> None:
+    stand.instance("w-1")
+    stand.order(ORDER)
+    mux = stand.until("w-1").mux
+    time.sleep(STEADY)
+    children = Path(f"/proc/{stand.mux.pid}/task/{stand.mux.pid}/children")
+    crashed = children.read_text()
+    os.kill(int(crashed), signal.SIGKILL)
+    while children.read_text() in ("", crashed):
+        assert stand.mux.poll() is None
+    stand.heard()
+    end = time.monotonic() + 10
+    while stand.heard() != ["w-1"]:
+        assert time.monotonic() < end
+    assert stand.until("w-1").mux == mux
 
 
 def test_a_silent_instance_is_replaced_while_nobody_gives_orders(stand: Stand) -> None:
