@@ -1,7 +1,7 @@
 """Checks that claims, gates and pools keep their guarantees for any order of requests, answers, watches, failures and
 deaths.
 
-    scripts/bench interleavings [RUNS] [--first SEED] [--processes N]
+    scripts/bench interleavings [RUNS] [--first SEED] [--only KIND] [--processes N]
     scripts/bench interleavings --seed SEED
 
 Each run executes the real code of monitors and operator over a modelled API server, network and cluster, in virtual
@@ -88,9 +88,9 @@ def chunk(seeds: range) -> Chunk:
     return found
 
 
-def told(chunks: Sequence[Chunk]) -> Report:
-    """Return the report on all runs."""
-    report = Report("interleavings")
+def told(chunks: Sequence[Chunk], only: str | None = None) -> Report:
+    """Return the report on all runs, or on those of one kind."""
+    report = Report(f"interleavings-{only}" if only else "interleavings")
     reflexive, tasked, muxed = ([c for c in chunks if c.kind == kind] for kind in KINDS)
 
     def counted(name: str, *outcomes: str, unit: str, of: Sequence[Chunk] = chunks) -> None:
@@ -137,6 +137,7 @@ def main() -> None:
         "runs", type=int, nargs="?", default=10_000, help="number of runs without a reflex, tasks and a mux"
     )
     parser.add_argument("--first", type=int, default=0, metavar="SEED", help="the seed of the first run")
+    parser.add_argument("--only", choices=list(KINDS), help="make only runs of this kind, as many as RUNS")
     parser.add_argument("--processes", type=int, default=os.cpu_count(), metavar="N")
     parser.add_argument("--seed", type=int, help="make only this run, and print everything that happens")
     options = parser.parse_args()
@@ -144,14 +145,16 @@ def main() -> None:
         outcome = run(options.seed, tracing=True)
         print(outcome)
         sys.exit(1 if outcome.faults else 0)
-    of_others = (kind.FIRST + options.first // SHARE for kind in KINDS.values())
+    starts = {name: of.FIRST + options.first // SHARE for name, of in KINDS.items()}
+    wanted = (
+        {starts[options.only]: options.runs}
+        if options.only
+        else {options.first: options.runs, **dict.fromkeys(starts.values(), options.runs // SHARE)}
+    )
     ranges = [
-        range(first, min(end, first + CHUNK))
-        for begin, end in (
-            (options.first, options.first + options.runs),
-            *((begin, begin + options.runs // SHARE) for begin in of_others),
-        )
-        for first in range(begin, end, CHUNK)
+        range(first, min(begin + runs, first + CHUNK))
+        for begin, runs in wanted.items()
+        for first in range(begin, begin + runs, CHUNK)
     ]
     chunks = []
     with ProcessPoolExecutor(options.processes) as pool:
@@ -161,7 +164,7 @@ def main() -> None:
                 print(f"seed {seed}: {fault}", flush=True)
             if len(chunks) % PROGRESS == 0:
                 print(f"{sum(c.runs for c in chunks)} of {sum(map(len, ranges))} runs", file=sys.stderr, flush=True)
-    report = told(chunks)
+    report = told(chunks, options.only)
     print(report.table())
     failed = sorted(seed for found in chunks for seed in found.faults)
     for seed in failed[:SHOWN]:
