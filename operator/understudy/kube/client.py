@@ -25,7 +25,7 @@ from typing import Any, Protocol, Self
 import aiohttp
 
 from understudy.kube.api_contact import ApiContact
-from understudy.kube.decoding import decode, decode_each
+from understudy.kube.decoding import decode, decode_each, decoded
 
 Object = dict[str, Any]
 
@@ -352,7 +352,7 @@ class Client:
         if body is not None:
             headers["Content-Type"] = content_type
             data = encoded(body)
-        result: Object = decode(await self._ask(method, path, params, headers, data))
+        result: Object = await decoded(await self._ask(method, path, params, headers, data))
         return result
 
     async def read(
@@ -435,7 +435,7 @@ class Client:
         The table has only what kubectl shows of each object. A server without tables answers with a list.
         """
         params = _selectors(labels, fields) | {"resourceVersion": "0", "includeObject": "None"}
-        answer: Object = decode(await self.read(resource.path(namespace), params=params, accept=TABLE))
+        answer: Object = await decoded(await self.read(resource.path(namespace), params=params, accept=TABLE))
         return answer
 
     async def parts(
@@ -552,7 +552,7 @@ class Client:
                     self._listener.event_received(resource.plural)
                 *lines, buffer = (buffer + chunk).split(b"\n")
                 for line in lines:
-                    event = decode(line)
+                    event = await decoded(line)
                     if event["type"] == "ERROR":
                         code = event["object"].get("code", 500)
                         raise Expired if code == 410 else _error(code, json.dumps(event["object"]))

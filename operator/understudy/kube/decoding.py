@@ -6,11 +6,13 @@ ends with a RecursionError. The field that contained them is still too deep, so 
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import gc
 import itertools
 import json
 import re
+import threading
 from array import array
 from collections.abc import Iterator
 from typing import Any
@@ -18,7 +20,7 @@ from typing import Any
 from understudy.api.nesting import DEEPEST_OBJECT
 
 LONG = 100_000
-"""Characters of a text from which on collections of garbage would take long."""
+"""Characters of a text from which on decoding it, and collections of garbage meanwhile, would take long."""
 
 _DECODER = json.JSONDecoder()
 _BRACKET = re.compile(r"[][{}]")
@@ -33,6 +35,11 @@ def decode(text: str | bytes) -> Any:
     text = text if isinstance(text, str) else text.decode()
     with _uncollected(text):
         return json.loads(bounded(text))
+
+
+async def decoded(text: str | bytes) -> Any:
+    """Return what :func:`decode` returns. Others run while a long text is decoded: 1.4 MB take 0.1 s, and 0.3 s at worst."""
+    return decode(text) if len(text) < LONG else await asyncio.to_thread(decode, text)
 
 
 def decode_each(text: str) -> Iterator[Any]:
@@ -105,16 +112,39 @@ def _uncollected(text: str) -> Iterator[None]:
     A collection begins after every 700 new mappings and lists. Of a text with 250,000 of them it finds nothing, and takes five
     times as long as decoding it. The result has no cycles, so it is freed when nothing refers to it.
     """
-    paused = len(text) >= LONG and gc.isenabled()
-    if paused:
-        gc.collect(1)  # so that no young garbage is exempt
-        gc.disable()
+    if len(text) < LONG:
+        yield
+        return
+    _PAUSE.begin()
     try:
         yield
     finally:
-        if paused:
-            gc.freeze()
-            gc.enable()
+        _PAUSE.end()
+
+
+class _Pause:
+    """Collects no garbage while one or more threads decode."""
+
+    def __init__(self) -> None:
+        self._lock, self._threads, self._was_enabled = threading.Lock(), 0, True
+
+    def begin(self) -> None:
+        with self._lock:
+            if not self._threads:
+                self._was_enabled = gc.isenabled()
+                gc.collect(1)  # so that no young garbage is exempt
+                gc.disable()
+            self._threads += 1
+
+    def end(self) -> None:
+        with self._lock:
+            self._threads -= 1
+            if not self._threads and self._was_enabled:
+                gc.freeze()
+                gc.enable()
+
+
+_PAUSE = _Pause()
 
 
 def _after(text: str, at: int) -> int:

@@ -145,19 +145,19 @@ def line(name: str, version: int, *, kind: str = "MODIFIED", values: int = 50_00
     return json.dumps({"type": kind, "object": item})
 
 
-def test_of_several_versions_of_a_long_object_the_newest_is_reported_once() -> None:
+async def test_of_several_versions_of_a_long_object_the_newest_is_reported_once() -> None:
     found = kopf_handlers.LongObjects()
-    older, newer = (json.loads(found.shortened(line("long", version)))["object"] for version in (1, 2))
+    older, newer = [json.loads(await found.shortened(line("long", version)))["object"] for version in (1, 2)]
     reported = found.whole(older)
     assert reported is not None
     assert reported["spec"]["monitoring"]["yaml"]["sequence"][0] == 2
     assert found.whole(newer) is None
 
 
-def test_a_long_object_that_became_short_is_reported_as_it_is() -> None:
+async def test_a_long_object_that_became_short_is_reported_as_it_is() -> None:
     found = kopf_handlers.LongObjects()
-    found.shortened(line("long", 1))
-    short = json.loads(found.shortened(line("long", 2, values=1)))["object"]
+    await found.shortened(line("long", 1))
+    short = json.loads(await found.shortened(line("long", 2, values=1)))["object"]
     assert found.whole(short) == short
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import gc
 import json
 import random
@@ -11,7 +12,7 @@ import pytest
 
 from tests.support.nested_values import nested
 from understudy.api.nesting import DEEPEST_OBJECT
-from understudy.kube.decoding import LONG, bounded, decode, decode_each
+from understudy.kube.decoding import LONG, bounded, decode, decode_each, decoded
 
 
 @pytest.mark.parametrize(
@@ -79,7 +80,23 @@ def test_a_malformed_text_is_a_value_error(text: str) -> None:
         decode(text)
 
 
-@pytest.mark.parametrize("read", [decode, bounded, lambda text: list(decode_each(text))])
+async def test_others_run_while_a_long_text_is_decoded() -> None:
+    value = [[[]] * LONG]
+    decoding = asyncio.create_task(decoded(json.dumps(value)))
+    for _ in range(3):
+        await asyncio.sleep(0)
+    assert not decoding.done()
+    assert await decoding == value
+    assert await decoded("[1]") == [1]
+
+
+async def texts_at_once(text: str) -> list[object]:
+    return await asyncio.gather(*[decoded(text) for _ in range(3)])
+
+
+@pytest.mark.parametrize(
+    "read", [decode, bounded, lambda text: list(decode_each(text)), lambda text: asyncio.run(texts_at_once(text))]
+)
 def test_no_garbage_is_collected_while_a_long_text_is_decoded(read: Callable[[str], object]) -> None:
     """A collection visits all mappings and lists so far, again and again, and would keep the event loop busy."""
     text, begun = "[" + ",".join(["[0]"] * LONG) + "]", list[str]()

@@ -23,7 +23,7 @@ from kopf._cogs.structs import references
 from kopf._core.reactor import observation
 
 from understudy.kube.client import PAGE, POLICIES, POOLS, WORKLOADS, Access, Object, Resource
-from understudy.kube.decoding import LONG, bounded, decode
+from understudy.kube.decoding import LONG, bounded, decoded
 
 WATCHED = (WORKLOADS, POLICIES, POOLS)
 """Understudy's own kinds. watches.py has the other watched resources."""
@@ -86,8 +86,9 @@ def _answers(long_objects: LongObjects) -> type[aiohttp.ClientResponse]:
             self.content = _Lines(self.content, long_objects)  # type: ignore[assignment]
             return self
 
-        async def json(self, *, loads: Callable[[str], Any] = decode, **options: Any) -> Any:
-            return await super().json(loads=loads, **options)
+        async def json(self, *, loads: Callable[[str], Any] = str, **options: Any) -> Any:
+            text = await super().json(loads=loads, **options)
+            return None if text is None else await decoded(text)
 
     return Answer
 
@@ -102,11 +103,11 @@ class LongObjects:
         self._latest: dict[str, Object] = {}
         """By UID, the objects that the handler has not received yet."""
 
-    def shortened(self, line: str) -> str:
+    async def shortened(self, line: str) -> str:
         """Return a line of a watch as kopf decodes it. Raises ValueError."""
         if len(line) < LONG:
             return bounded(line)
-        event = decode(line)
+        event = await decoded(line)
         item = event["object"]
         metadata = item.get("metadata") or {}
         if "uid" not in metadata:  # an error
@@ -145,8 +146,8 @@ class _Lines:
         async for chunk in self._content.iter_chunked(size):
             *lines, rest = (rest + chunk).split(b"\n")
             for line in lines:
-                yield self._long_objects.shortened(line.decode()).encode() + b"\n"
-        yield self._long_objects.shortened(rest.decode()).encode()
+                yield (await self._long_objects.shortened(line.decode())).encode() + b"\n"
+        yield (await self._long_objects.shortened(rest.decode())).encode()
 
 
 class _NoDifferences(kopf.DiffBaseStorage):

@@ -12,7 +12,7 @@ import hashlib
 import itertools
 import logging
 import time
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Iterator, Sequence
 
 from understudy.api import names
 from understudy.controller.observed import health_tree_sources, kube_objects, ownership
@@ -117,13 +117,21 @@ def kept(resource: Resource, item: Object) -> bool:
 
 
 async def _items(part: Part) -> AsyncIterator[Object]:
-    """Yield the objects of a part, and let others run now and then."""
-    begun = time.thread_time()
-    for item in part.items():
-        yield item
-        if time.thread_time() - begun >= LONG_TURN:
-            await asyncio.sleep(0)
-            begun = time.thread_time()
+    """Yield the objects of a part. Another thread decodes them, and others run meanwhile."""
+    items = part.items()
+    while some := await asyncio.to_thread(_next, items):
+        for item in some:
+            yield item
+
+
+def _next(items: Iterator[Object]) -> list[Object]:
+    """Return the next objects, as many as are decoded in a short time."""
+    found, end = [], time.thread_time() + LONG_TURN
+    for item in items:
+        found.append(item)
+        if time.thread_time() >= end:
+            break
+    return found
 
 
 class ListCycle:
