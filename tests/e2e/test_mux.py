@@ -94,15 +94,14 @@ def test_instances_in_the_network_of_their_node_drive_through_the_mux(kubectl: K
     kubectl.apply(patient(manifest("strategies/executing.yaml")))
 
     def edit(item: Object) -> None:
-        pod = item["spec"]["template"]["spec"]
-        pod |= {"hostNetwork": True, "dnsPolicy": "ClusterFirstWithHostNet"}
         if together:
-            pod["nodeSelector"] = {"kubernetes.io/hostname": first_node}
-        # The application names itself so in its commands. Otherwise it would use the name of the node.
-        name = {"name": "HOSTNAME", "valueFrom": {"fieldRef": {"fieldPath": "metadata.name"}}}
-        pod["containers"][0]["env"] = [name]
+            item["spec"]["template"]["spec"]["nodeSelector"] = {"kubernetes.io/hostname": first_node}
 
-    kubectl.apply(robot.objects(policy="quickstart-executing", folder="mux/", edit=edit))
+    kubectl.apply(
+        robot.objects(
+            policy="quickstart-executing", folder="mux/", workload="host-network/robotworkload.yaml", edit=edit
+        )
+    )
     first = robot.wait_protected()
     # On one node, the operator may be trying whether another standby starts elsewhere.
     placed = [pod["spec"] for pod in robot.pods() if "nodeName" in pod["spec"]]
