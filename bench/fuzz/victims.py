@@ -78,6 +78,8 @@ class Victims(threading.Thread):
         self.found = {name: Failures() for name in robots}
         self._robots, self._ended = robots, threading.Event()
         self._failed_at = dict.fromkeys(robots, 0.0)
+        self._restored = set(robots)
+        """The robots that were protected since their last failure. Until then, the next standby is starting."""
 
     def run(self) -> None:
         """Let them fail in turn."""
@@ -85,7 +87,7 @@ class Victims(threading.Thread):
         while not self._ended.is_set():
             name = list(self._robots)[turn % len(self._robots)]
             turn += 1
-            self._failed_at[name] = time.time()
+            self._restored.discard(name)
             fail(self._robots[name], self.found[name])
             self._failed_at[name] = time.time()
             rested = time.time() + BETWEEN
@@ -98,7 +100,11 @@ class Victims(threading.Thread):
                 protected = robot.condition("Protected").get("status") == "True"
             except Failed:
                 continue
-            if not protected and time.time() - self._failed_at[name] > BETWEEN:
+            if time.time() - self._failed_at[name] <= BETWEEN:
+                continue
+            if protected:
+                self._restored.add(name)
+            elif name in self._restored:
                 self.found[name].unprotected.append(time.time())
 
     def stop(self) -> None:
