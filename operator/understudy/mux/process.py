@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 import logging
 import math
 import os
@@ -14,6 +15,7 @@ import secrets
 import signal
 import sys
 import time
+from collections import ChainMap
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,6 +28,7 @@ from understudy.api.protocol.mux_messages import derive, topics
 from understudy.mux.control_journal import ControlJournal
 from understudy.mux.forwarder import Forwarder
 from understudy.process import cpu_scheduling, json_logs
+from understudy.process.file_replacement import replace_file
 from understudy.process.restarts import end_with_parent, keep_running
 from understudy.ros.rmw import MIDDLEWARE
 
@@ -107,7 +110,8 @@ async def _run(
 
     loop.add_reader(wakeups.descriptor, arrived)
     _logger.info("mux of %s/%s: %s", namespace, workload, ", ".join(output.name for output in outputs))
-    tasks = [asyncio.create_task(_follow(ways, forwarder, allowed, work.done)), asyncio.create_task(work.report())]
+    following = _follow(ways, forwarder, allowed, state / "writers.json", work.done)
+    tasks = [asyncio.create_task(following), asyncio.create_task(work.report())]
     stopped = asyncio.create_task(stopping.wait())
     with exchange.receiving(work.order):
         await asyncio.wait([*tasks, stopped], return_when=asyncio.FIRST_COMPLETED)
@@ -173,22 +177,39 @@ class _Work:
 
 
 async def _follow(
-    routes: Sequence[Route], forwarder: Forwarder, allowed: Collection[str], learned: Callable[[], None]
+    routes: Sequence[Route], forwarder: Forwarder, allowed: Collection[str], memory: Path, learned: Callable[[], None]
 ) -> None:
     """Learn whose writers there are, and match the QoS of both sides. ``learned`` is called when discovery has reported new writers.
 
-    ``allowed`` are the nodes that may write beside the mux.
+    ``allowed`` are the nodes that may write beside the mux. ``memory`` is a file with the writers of instances. Asking discovery takes up to
+    some seconds, and a writer never becomes that of another instance, so a process that starts again need not wait for that.
     """
     from understudy.ros.observe.writer_instances import WriterInstances
 
-    found = WriterInstances(os.environ.get(names.ADDRESS_VARIABLE, ""))
-    forwarder.instances = found.names
-    since: dict[bytes, float] = {}
+    found, since = WriterInstances(os.environ.get(names.ADDRESS_VARIABLE, "")), dict[bytes, float]()
+    forwarder.instances = known = ChainMap(found.names, _remembered(memory))
+
+    def remember() -> None:
+        replace_file(memory, json.dumps({gid.hex(): name for gid, name in found.names.items() if name}))
+        learned()
+
     await found.follow(
         lambda: tuple(route.counts() for route in routes),
-        lambda: _look(routes, forwarder, allowed, found.names, since, time.monotonic()),
-        learned,
+        lambda: _look(routes, forwarder, allowed, known, since, time.monotonic()),
+        remember,
     )
+
+
+def _remembered(memory: Path) -> dict[bytes, str]:
+    """Return the writers of instances that the former process knew."""
+    try:
+        found = TypeAdapter(dict[str, str]).validate_json(memory.read_bytes())
+        return {bytes.fromhex(gid): name for gid, name in found.items()}
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError) as error:
+        _logger.warning("%s cannot be read, so discovery is asked for all writers: %r", memory, error)
+        return {}
 
 
 def _look(

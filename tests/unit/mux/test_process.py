@@ -32,6 +32,7 @@ from understudy.api.protocol.mux_messages import (
     read_report,
     topics,
 )
+from understudy.mux.process import _remembered
 from understudy.process.restarts import STEADY
 from understudy.ros.dds.profiles import muxed_profiles_xml
 
@@ -160,6 +161,16 @@ def test_a_mux_that_crashes_goes_on_by_itself(stand: Stand) -> None:
     while stand.heard() != ["w-1"]:
         assert time.monotonic() < end
     assert stand.until("w-1").mux == mux
+
+
+def test_a_mux_knows_the_writers_that_its_former_process_knew(tmp_path: Path) -> None:
+    memory = tmp_path / "writers.json"
+    assert _remembered(memory) == {}
+    memory.write_text('{"0102": "w-1"}')
+    assert _remembered(memory) == {b"\1\2": "w-1"}
+    for damaged in ("{", '{"no": "w-1"}', "[]"):
+        memory.write_text(damaged)
+        assert _remembered(memory) == {}
 
 
 def test_a_silent_instance_is_replaced_while_nobody_gives_orders(stand: Stand) -> None:
