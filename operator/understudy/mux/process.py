@@ -181,8 +181,8 @@ async def _follow(
 ) -> None:
     """Learn whose writers there are, and match the QoS of both sides. ``learned`` is called when discovery has reported new writers.
 
-    ``allowed`` are the nodes that may write beside the mux. ``memory`` is a file with the writers of instances. Asking discovery takes up to
-    some seconds, and a writer never becomes that of another instance, so a process that starts again need not wait for that.
+    ``allowed`` are the nodes that may write beside the mux. ``memory`` is a file with the writers of instances: a writer never becomes that
+    of another instance, so a process that starts again need not wait for what discovery answers.
     """
     from understudy.ros.observe.writer_instances import WriterInstances
 
