@@ -6,9 +6,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 Fields = Mapping[str, Any]
+
+_EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+
+BEYOND = {
+    # Makes a node's device out of a file, which needs a host path. It is a Deployment, which the chart does not check.
+    _EXAMPLES / "tracker" / "manifests" / "device.yaml",
+    # In the network of the node.
+    _EXAMPLES / "quickstart" / "manifests" / "mux" / "host-network" / "robotworkload.yaml",
+}
+"""Examples that are not within the level."""
 
 _CAPABILITIES = ("NET_BIND_SERVICE",)
 _VOLUMES = (

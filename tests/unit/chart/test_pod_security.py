@@ -23,16 +23,13 @@ from tests.e2e.scenario import Robot
 from tests.e2e.test_degraded import Degrading
 from tests.e2e.test_tasks import Cell
 from tests.support.pages import PAGES, REPOSITORY, page_name
-from tests.support.pod_security import violations
+from tests.support.pod_security import BEYOND, violations
 from tests.unit.chart.conftest import CHART
 from tests.unit.kube.memory import merge
 
 Object = dict[str, Any]
 
 EXAMPLES = sorted((REPOSITORY / "examples").rglob("*.yaml"))
-
-DEVICE = REPOSITORY / "examples" / "tracker" / "manifests" / "device.yaml"
-"""Makes a node's device out of a file, which needs a host path. It is a Deployment, which the chart does not check."""
 
 TESTS = sorted((REPOSITORY / "tests" / "e2e").glob("*.py"))
 
@@ -77,14 +74,14 @@ def test_the_chart_applies_it_to_namespaces_without_a_level() -> None:
 
 
 @pytest.mark.parametrize(
-    "file", [file for file in EXAMPLES if file != DEVICE], ids=lambda file: str(file.relative_to(REPOSITORY))
+    "file", [file for file in EXAMPLES if file not in BEYOND], ids=lambda file: str(file.relative_to(REPOSITORY))
 )
 def test_templates_of_the_examples_are_within_it(file: Path) -> None:
     assert_within(list(yaml.safe_load_all(file.read_text())))
 
 
 def test_the_examples_have_templates() -> None:
-    items = [item for file in EXAMPLES if file != DEVICE for item in yaml.safe_load_all(file.read_text())]
+    items = [item for file in EXAMPLES if file not in BEYOND for item in yaml.safe_load_all(file.read_text())]
     assert assert_within([item for item in items if item and item["kind"] == "RobotWorkload"]) >= 10
 
 

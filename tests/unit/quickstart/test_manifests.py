@@ -27,6 +27,7 @@ def of_kind(kind: str) -> list[dict[str, Any]]:
 def test_the_tests_cover_every_file() -> None:
     assert [str(f.relative_to(MANIFESTS)) for f in FILES] == [
         "managed/robotworkload.yaml",
+        "mux/host-network/robotworkload.yaml",
         "mux/on-board/robot.yaml",
         "mux/on-board/robotworkload.yaml",
         "mux/robot.yaml",
