@@ -22,8 +22,9 @@ STEADY = 5.0
 def keep_running(work: Callable[[], None]) -> int:
     """Run ``work`` in a child process until SIGTERM or SIGINT, and again whenever it has ended. Returns an exit code.
 
-    The child has the modules that this process has imported, so it starts within milliseconds. Call this from a process
-    with one thread, because a child has a copy of this thread alone.
+    The child has the modules that this process has imported, so it starts within milliseconds. It has a copy of the
+    calling thread alone, so other threads of this process must be idle, such as those that numpy and rclpy start at
+    their import.
     """
     waited = {signal.SIGTERM, signal.SIGINT, signal.SIGCHLD}
     signal.pthread_sigmask(signal.SIG_BLOCK, waited)
