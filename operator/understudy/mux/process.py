@@ -190,8 +190,11 @@ async def _follow(
     forwarder.instances = known = ChainMap(found.names, _remembered(memory))
 
     def remember() -> None:
-        replace_file(memory, json.dumps({gid.hex(): name for gid, name in found.names.items() if name}))
         learned()
+        try:
+            replace_file(memory, json.dumps({gid.hex(): name for gid, name in found.names.items() if name}))
+        except OSError as error:  # a full disk is no reason to forward nobody
+            _logger.warning("%s cannot be written, so a mux that starts again has to ask discovery: %s", memory, error)
 
     await found.follow(
         lambda: tuple(route.counts() for route in routes),

@@ -163,6 +163,15 @@ def test_a_mux_that_crashes_goes_on_by_itself(stand: Stand) -> None:
     assert stand.until("w-1").mux == mux
 
 
+def test_a_mux_that_cannot_remember_its_writers_forwards_nevertheless(stand: Stand, tmp_path: Path) -> None:
+    (tmp_path / "state" / "writers.json.new").mkdir(parents=True)
+    stand.instance("w-1")
+    stand.order(ORDER)
+    stand.until("w-1")
+    assert not (tmp_path / "state" / "writers.json").exists()
+    assert stand.heard() == ["w-1"]
+
+
 def test_a_mux_knows_the_writers_that_its_former_process_knew(tmp_path: Path) -> None:
     memory = tmp_path / "writers.json"
     assert _remembered(memory) == {}
