@@ -43,7 +43,7 @@ SELDOM, OFTEN = ("managed", "restarting", "uninitialized"), "executing"
 """Fixtures of robots that tests share. Few tests use most of them: these tests stay in one process. Each process has one of the last."""
 
 
-BOTH_KINDS = {
+ALWAYS_BOTH_KINDS = {
     "test_fence",
     "test_limits",
     "test_reflex",
@@ -52,15 +52,16 @@ BOTH_KINDS = {
     "test_switchover",
     "test_tasks",
 }
-"""Modules whose tests run with both kinds of gates."""
+"""Modules whose tests run with both kinds of gates in CI too; elsewhere, those with a mux are `long`."""
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Parametrize the gate's kind. A test that is marked ``network_policy`` is about packets, or about the robot's own readers."""
-    module = metafunc.module.__name__.rpartition(".")[2]
     only = metafunc.definition.get_closest_marker("network_policy")
-    if "gate_kind" in metafunc.fixturenames and module in BOTH_KINDS and only is None:
-        metafunc.parametrize("gate_kind", ["NetworkPolicy", "Mux"])
+    if "gate_kind" in metafunc.fixturenames and only is None:
+        module = metafunc.module.__name__.rpartition(".")[2]
+        marks = () if module in ALWAYS_BOTH_KINDS else (pytest.mark.long,)
+        metafunc.parametrize("gate_kind", ["NetworkPolicy", pytest.param("Mux", marks=marks)])
 
 
 @pytest.fixture
@@ -297,9 +298,9 @@ def network(kubectl: Kubectl) -> Iterator[Network]:
 
 
 @pytest.fixture
-def apart(kubectl: Kubectl, stage: Stage) -> Robot:
+def apart(kubectl: Kubectl, stage: Stage, gate_kind: str) -> Robot:
     """A robot with an executing standby, the two of them on nodes of their own."""
-    robot = Robot(kubectl)
+    robot = Robot(kubectl, gate_kind=gate_kind)
     kubectl.apply(patient(manifest("strategies/executing.yaml")))
     objects = staying(robot.objects(policy="quickstart-executing"))
     stage.place(objects)

@@ -20,9 +20,9 @@ BACK_WITHIN = 0.5
 @pytest.mark.local_only
 @pytest.mark.parametrize("outage", [4, 8, 60])
 def test_an_executing_standby_drives_once_the_api_server_is_back(
-    kubectl: Kubectl, api_server: ApiServer, outage: float
+    kubectl: Kubectl, api_server: ApiServer, outage: float, gate_kind: str
 ) -> None:
-    robot = Robot(kubectl)
+    robot = Robot(kubectl, gate_kind=gate_kind)
     kubectl.apply(manifest("strategies/executing.yaml"))
     kubectl.apply(staying(robot.objects(policy="quickstart-executing")))
     old = robot.wait_protected()

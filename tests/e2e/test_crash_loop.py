@@ -34,8 +34,8 @@ def living(robot: Robot) -> set[str]:
 
 
 @pytest.mark.long
-def test_a_crash_loop_starts_the_next_strategy_before_the_first_one_times_out(kubectl: Kubectl) -> None:
-    switch, robot = Switch(kubectl), Robot(kubectl)
+def test_a_crash_loop_starts_the_next_strategy_before_the_first_one_times_out(kubectl: Kubectl, gate_kind: str) -> None:
+    switch, robot = Switch(kubectl), Robot(kubectl, gate_kind=gate_kind)
     policy, pool = patient(manifest("strategies/uninitialized.yaml"))
     fallback, restart = policy["spec"]["strategies"]
     policy["spec"]["strategies"] = [restart | {"verifyWithin": f"{PATIENCE:g}s"}, fallback]
@@ -71,9 +71,9 @@ def test_a_crash_loop_starts_the_next_strategy_before_the_first_one_times_out(ku
 
 @pytest.mark.long
 def test_a_crash_loop_of_every_strategy_is_reported_without_thrashing_until_an_instance_works(
-    kubectl: Kubectl,
+    kubectl: Kubectl, gate_kind: str
 ) -> None:
-    switch, robot = Switch(kubectl), Robot(kubectl)
+    switch, robot = Switch(kubectl), Robot(kubectl, gate_kind=gate_kind)
     policy, pool = patient(manifest("strategies/executing.yaml"))
     policy["spec"]["strategies"][-1]["verifyWithin"] = f"{LAST:g}s"
     policy["spec"]["monitoring"]["startupGrace"] = "15s"
@@ -148,9 +148,11 @@ def test_a_crash_loop_of_every_strategy_is_reported_without_thrashing_until_an_i
 
 
 @pytest.mark.long
-def test_the_next_strategy_is_tried_if_the_new_instance_crashes_once_it_drives(kubectl: Kubectl) -> None:
+def test_the_next_strategy_is_tried_if_the_new_instance_crashes_once_it_drives(
+    kubectl: Kubectl, gate_kind: str
+) -> None:
     """A restarted instance is seen to drive, and ends; the next failure isn't answered by the same strategy."""
-    robot = Robot(kubectl)
+    robot = Robot(kubectl, gate_kind=gate_kind)
     policy, pool = manifest("strategies/uninitialized.yaml")
     policy["spec"]["strategies"].reverse()
     kubectl.apply([policy, pool])

@@ -101,8 +101,8 @@ def test_a_standby_counts_only_while_its_check_holds_and_is_replaced_otherwise(m
     )
 
 
-def test_a_restarted_managed_application_is_brought_up_again(kubectl: Kubectl) -> None:
-    robot = Robot(kubectl)
+def test_a_restarted_managed_application_is_brought_up_again(kubectl: Kubectl, gate_kind: str) -> None:
+    robot = Robot(kubectl, gate_kind=gate_kind)
     kubectl.apply(manifest("strategies/restart.yaml"))
     kubectl.apply(robot.objects(policy="quickstart-restart", workload="managed/robotworkload.yaml"))
     robot.fail(robot.wait_protected(), "deleted")

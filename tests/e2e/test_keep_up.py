@@ -63,9 +63,9 @@ def protection() -> list[Object]:
 
 
 @pytest.fixture
-def robot(kubectl: Kubectl) -> Robot:
+def robot(kubectl: Kubectl, gate_kind: str) -> Robot:
     """A robot with an initialized standby that is kept up."""
-    robot = Robot(kubectl)
+    robot = Robot(kubectl, gate_kind=gate_kind)
     source = {"apiVersion": "v1", "kind": "ConfigMap", "metadata": {"name": "application"}}
     kubectl.apply([source | {"data": {APPLICATION.name: APPLICATION.read_text()}}, *protection()])
     kubectl.apply(robot.objects(policy=POOL, edit=application))

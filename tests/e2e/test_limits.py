@@ -17,8 +17,8 @@ WATCHED = 8.0
 """Seconds for which it is looked whether nothing is done."""
 
 
-def executing_with(kubectl: Kubectl, **spec: object) -> Robot:
-    robot = Robot(kubectl)
+def executing_with(kubectl: Kubectl, gate_kind: str, **spec: object) -> Robot:
+    robot = Robot(kubectl, gate_kind=gate_kind)
     policy, pool = patient(manifest("strategies/executing.yaml"))
     policy["spec"] |= spec
     kubectl.apply([policy, pool])
@@ -38,12 +38,11 @@ def assert_nothing_is_done(robot: Robot) -> None:
 
 
 @pytest.mark.long
-def test_a_spent_budget_leads_to_safe_commands_until_somebody_resumes(
-    kubectl: Kubectl,
-) -> None:
+def test_a_spent_budget_leads_to_safe_commands_until_somebody_resumes(kubectl: Kubectl, gate_kind: str) -> None:
     command = {"topic": "/cmd_vel", "every": "50ms", "message": {"header": {"frame_id": SAFE, "stamp": "now"}}}
     robot = executing_with(
         kubectl,
+        gate_kind,
         limits={"budget": {"recoveries": 1, "within": "1h"}},
         safety={"after": "200ms", "commands": [command]},
     )
@@ -85,8 +84,8 @@ def test_a_spent_budget_leads_to_safe_commands_until_somebody_resumes(
 
 
 @pytest.mark.long
-def test_the_budget_is_available_again_after_its_window(kubectl: Kubectl) -> None:
-    robot = executing_with(kubectl, limits={"budget": {"recoveries": 1, "within": "30s"}})
+def test_the_budget_is_available_again_after_its_window(kubectl: Kubectl, gate_kind: str) -> None:
+    robot = executing_with(kubectl, gate_kind, limits={"budget": {"recoveries": 1, "within": "30s"}})
     first = robot.wait_protected()
     robot.fail(first, "frozen")
     recovery = robot.wait_recovered(1)
@@ -146,9 +145,9 @@ def test_a_pause_ends_at_its_time(executing: Robot) -> None:
 
 @pytest.mark.long
 def test_a_failure_soon_after_a_recovery_starts_the_next_strategy_even_after_a_monitor_restart(
-    kubectl: Kubectl,
+    kubectl: Kubectl, gate_kind: str
 ) -> None:
-    robot = executing_with(kubectl, limits={"healthyDelay": "5m"})
+    robot = executing_with(kubectl, gate_kind, limits={"healthyDelay": "5m"})
     first = robot.wait_protected()
     robot.fail(first, "frozen")
     recovery = robot.wait_recovered(1)
@@ -164,11 +163,11 @@ def test_a_failure_soon_after_a_recovery_starts_the_next_strategy_even_after_a_m
 
 
 @pytest.mark.long
-def test_a_robot_that_fails_in_a_storm_waits_until_the_storm_is_over(kubectl: Kubectl) -> None:
+def test_a_robot_that_fails_in_a_storm_waits_until_the_storm_is_over(kubectl: Kubectl, gate_kind: str) -> None:
     policy, pool = patient(manifest("strategies/uninitialized.yaml"))
     policy["spec"]["limits"] = {"stormGuard": {"percent": 50, "workloads": 2, "within": "40s"}}
     kubectl.apply([policy, pool])
-    robots = [Robot(kubectl, f"robot-{number}") for number in (1, 2, 3)]
+    robots = [Robot(kubectl, f"robot-{number}", gate_kind=gate_kind) for number in (1, 2, 3)]
     for robot in robots:
         kubectl.apply(robot.objects(policy="quickstart-uninitialized"))
     pods = {robot.name: robot.wait_driven(180) for robot in robots}

@@ -22,6 +22,7 @@ from tests.e2e.test_strategies import assert_handed_over
 
 pytestmark = [
     pytest.mark.local_only,
+    pytest.mark.network_policy,
     pytest.mark.long,  # CI has each mode by packets: tests/cluster/test_network_modes.py
 ]
 

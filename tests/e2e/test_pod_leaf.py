@@ -25,8 +25,8 @@ def restarts(robot: Robot, pod: str) -> int:
 
 
 @pytest.mark.long
-def test_one_restart_is_allowed_and_the_next_is_one_too_many(kubectl: Kubectl) -> None:
-    robot = Robot(kubectl)
+def test_one_restart_is_allowed_and_the_next_is_one_too_many(kubectl: Kubectl, gate_kind: str) -> None:
+    robot = Robot(kubectl, gate_kind=gate_kind)
     kubectl.apply(looking_at({"restarts": 1, "window": "10m"}))
     kubectl.apply(robot.objects(policy="quickstart-restart"))
     old = robot.wait_protected()
@@ -45,13 +45,13 @@ def test_one_restart_is_allowed_and_the_next_is_one_too_many(kubectl: Kubectl) -
 
 
 @pytest.mark.long
-def test_a_pod_that_is_no_longer_ready_fails_though_its_outputs_flow(kubectl: Kubectl) -> None:
+def test_a_pod_that_is_no_longer_ready_fails_though_its_outputs_flow(kubectl: Kubectl, gate_kind: str) -> None:
     def with_probe(item: Object) -> None:
         [container] = item["spec"]["template"]["spec"]["containers"]
         probe = {"exec": {"command": ["sh", "-c", "! test -e /tmp/unready"]}, "periodSeconds": 1, "failureThreshold": 1}
         container["readinessProbe"] = probe
 
-    robot = Robot(kubectl)
+    robot = Robot(kubectl, gate_kind=gate_kind)
     kubectl.apply(looking_at({"condition": "ContainersReady", "for": "3s"}))
     kubectl.apply(robot.objects(policy="quickstart-restart", edit=with_probe))
     old = robot.wait_protected()

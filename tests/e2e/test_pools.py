@@ -60,8 +60,8 @@ def least_ready(kubectl: Kubectl, done: Callable[[], bool], within: float) -> in
 
 
 @pytest.fixture
-def robot(kubectl: Kubectl) -> Robot:
-    return Robot(kubectl)
+def robot(kubectl: Kubectl, gate_kind: str) -> Robot:
+    return Robot(kubectl, gate_kind=gate_kind)
 
 
 def protect(robot: Robot, **spec: object) -> str:

@@ -51,9 +51,9 @@ def available(kubectl: Kubectl) -> Object:
 
 
 @pytest.mark.long
-def test_two_workloads_claiming_the_last_pod_have_one_owner(kubectl: Kubectl) -> None:
+def test_two_workloads_claiming_the_last_pod_have_one_owner(kubectl: Kubectl, gate_kind: str) -> None:
     kubectl.apply(manifest("strategies/uninitialized.yaml"))
-    robots = [Robot(kubectl, name) for name in ("robot-1", "robot-2")]
+    robots = [Robot(kubectl, name, gate_kind=gate_kind) for name in ("robot-1", "robot-2")]
     for robot in robots:
         kubectl.apply(robot.objects(policy="quickstart-uninitialized"))
     old = {robot.name: robot.wait_protected() for robot in robots}
@@ -84,9 +84,9 @@ def test_two_workloads_claiming_the_last_pod_have_one_owner(kubectl: Kubectl) ->
 
 
 @pytest.mark.long
-def test_a_workload_that_finds_the_pool_empty_waits_for_the_next_pod(kubectl: Kubectl) -> None:
+def test_a_workload_that_finds_the_pool_empty_waits_for_the_next_pod(kubectl: Kubectl, gate_kind: str) -> None:
     kubectl.apply(waiting("120s"))
-    robots = [Robot(kubectl, name) for name in ("robot-1", "robot-2")]
+    robots = [Robot(kubectl, name, gate_kind=gate_kind) for name in ("robot-1", "robot-2")]
     for robot in robots:
         kubectl.apply(robot.objects(policy=POOL))
     old = {robot.name: robot.wait_protected() for robot in robots}
@@ -100,9 +100,9 @@ def test_a_workload_that_finds_the_pool_empty_waits_for_the_next_pod(kubectl: Ku
 
 
 @pytest.mark.long
-def test_of_two_that_wait_for_a_pod_the_more_critical_is_served_first(kubectl: Kubectl) -> None:
+def test_of_two_that_wait_for_a_pod_the_more_critical_is_served_first(kubectl: Kubectl, gate_kind: str) -> None:
     kubectl.apply(waiting("300s"))
-    ordinary, critical = robots = [Robot(kubectl, name) for name in ("robot-1", "robot-2")]
+    ordinary, critical = robots = [Robot(kubectl, name, gate_kind=gate_kind) for name in ("robot-1", "robot-2")]
     for robot, priority in zip(robots, (0, 100), strict=True):
         kubectl.apply(robot.objects(policy=POOL, edit=of_priority(priority)))
     old = {robot.name: robot.wait_driven() for robot in robots}
@@ -139,9 +139,9 @@ def test_of_two_that_wait_for_a_pod_the_more_critical_is_served_first(kubectl: K
 
 
 @pytest.mark.long
-def test_a_workload_that_waited_for_waitfor_is_restarted(kubectl: Kubectl) -> None:
+def test_a_workload_that_waited_for_waitfor_is_restarted(kubectl: Kubectl, gate_kind: str) -> None:
     kubectl.apply(waiting("3s"))
-    robot = Robot(kubectl)
+    robot = Robot(kubectl, gate_kind=gate_kind)
     kubectl.apply(robot.objects(policy=POOL))
     old = robot.wait_driven()
     run_dry(kubectl)

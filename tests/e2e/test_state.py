@@ -40,13 +40,13 @@ for _ in range(20):
 
 
 @pytest.fixture
-def keeping(kubectl: Kubectl) -> Robot:
+def keeping(kubectl: Kubectl, gate_kind: str) -> Robot:
     """A robot whose managed application is only restarted, with a policy that keeps state, and wrong things among it."""
-    return keeper(kubectl, STATE)
+    return keeper(kubectl, STATE, gate_kind)
 
 
-def keeper(kubectl: Kubectl, state: Object) -> Robot:
-    robot = Robot(kubectl)
+def keeper(kubectl: Kubectl, state: Object, gate_kind: str) -> Robot:
+    robot = Robot(kubectl, gate_kind=gate_kind)
     policy = manifest("strategies/restart.yaml")
     policy[0]["spec"]["state"] = state
     kubectl.apply(policy)
@@ -131,8 +131,10 @@ def test_kept_state_outlasts_the_monitors_container(keeping: Robot) -> None:
 @pytest.mark.alone  # cordons a node
 @pytest.mark.local_only
 @pytest.mark.long
-def test_kept_state_outlasts_the_monitors_pod_and_its_node_with_a_claim(kubectl: Kubectl, claim: str) -> None:
-    robot = keeper(kubectl, STATE | {"storage": {"claimName": claim}})
+def test_kept_state_outlasts_the_monitors_pod_and_its_node_with_a_claim(
+    kubectl: Kubectl, claim: str, gate_kind: str
+) -> None:
+    robot = keeper(kubectl, STATE | {"storage": {"claimName": claim}}, gate_kind)
     kubectl.shell(robot.robot_pod(), "robot", 'python3 -c "$1"', SAY)
     wait_kept(robot, "Topic /note", "Topic /map")
     before = kept(robot)["Topic /note"]

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.alone
     ("strategy", "expected"), [("uninitialized", "Fallback/Uninitialized"), ("restarting", "Restart")]
 )
 def test_a_failover_works_with_the_operator_scaled_to_nothing(
-    strategy: str, expected: str, request: pytest.FixtureRequest
+    strategy: str, expected: str, gate_kind: str, request: pytest.FixtureRequest
 ) -> None:
     robot: Robot = request.getfixturevalue(strategy)
     old = robot.wait_protected()
