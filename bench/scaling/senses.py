@@ -152,6 +152,9 @@ class Outputs:
     def heard(self) -> Sequence[tuple[float, float]]:
         return []
 
+    def switched_to(self, instance: Instance) -> str:
+        return ""
+
     def period_of_others(self, instance: Instance) -> float:
         return 0.0
 

@@ -260,5 +260,8 @@ class Outputs(Protocol):
         The time is 0 if never.
         """
 
+    def switched_to(self, instance: Instance) -> str:
+        """Return to which other instance the robot's side has switched by itself from this one, which the gate names; empty if to none."""
+
     def period_of_others(self, instance: Instance) -> float:
         """Return the longest usual time in seconds between two samples of another instance on one topic; 0 if none was heard of late."""

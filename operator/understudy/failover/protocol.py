@@ -67,6 +67,9 @@ SILENT_WITHIN = 5.0
 instance, so it is not replaced."""
 
 
+_SWITCHED = "{} fell silent, and the robot's side switched to {} by itself"
+
+
 async def recover(progress: Progress, choices: Sequence[Choice], context: StrategyContext) -> Progress:
     """Activate a healthy instance with the first strategy that is verified.
 
@@ -331,6 +334,8 @@ async def _loss(progress: Progress, context: StrategyContext, *, crashing_counts
         if "committed" in progress.moments:
             _assert_admitted(uid, name, context)
         found = context.instances.find(uid)
+        if found is not None and (other := context.outputs.switched_to(found)):
+            return _SWITCHED.format(name, other)
         if found is not None and found.terminating:
             return f"pod {name} is being deleted"
         # Before the commit, it is given its state again (steps.bring_up_and_open).
@@ -368,7 +373,7 @@ async def alone(target: Instance, progress: Progress, context: StrategyContext) 
     """Wait until only one instance drives: after the gate changed, nobody else is heard for one of the others' periods and a margin.
 
     Only time in which this process listens counts: not the time before a new monitor began, and not a stall. A pod that is heard later is
-    deleted, because the gate stops packets and not processes. Raises StillDriven and Superseded.
+    deleted, because the gate stops packets and not processes. Raises StillDriven, NotVerified and Superseded.
     """
     moments, clock = progress.moments, context.clock
     listening_since = clock()
@@ -398,6 +403,8 @@ async def alone(target: Instance, progress: Progress, context: StrategyContext) 
         if (apart := clock() - checked_at) >= STALL and stalls < STALLS:
             listening_since, silent_by, stalls = clock(), silent_by + apart, stalls + 1
     _assert_admitted(target.uid, target.name, context)
+    if other := context.outputs.switched_to(target):
+        raise NotVerified(_SWITCHED.format(target.name, other))
     moments["verified"] = clock()
 
 

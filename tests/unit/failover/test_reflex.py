@@ -142,6 +142,16 @@ async def test_a_standby_that_stops_before_the_commit_is_replaced_by_the_next_st
     assert sum(done.parts.values()) == pytest.approx(done.moments["routed"] - done.moments["last_healthy"])
 
 
+async def test_a_standby_that_took_over_and_was_replaced_at_the_robot_since_is_not_recorded_as_the_driver() -> None:
+    store = fallen_over()
+    store.add("w-3", pool="hot")
+    store.switched["w-2"] = "w-3"
+    done = await carried_out(reflex_progress(World(store)), World(store))
+    assert [(attempt.pod, attempt.result) for attempt in done.attempts] == [("w-2", "NotVerified"), ("w-3", "Verified")]
+    assert "the robot's side switched to w-3 by itself" in done.attempts[0].message
+    assert (done.result, done.strategy) == ("Recovered", "Fallback/Executing")
+
+
 async def test_a_standby_that_took_over_and_lost_its_label_is_not_fenced() -> None:
     store = fallen_over()
     store.add("w-3", pool="hot")

@@ -57,6 +57,8 @@ class Store:
     started: set[str] = field(default_factory=set)
     deleted: list[str] = field(default_factory=list)
     deletion_takes: float = 0.0
+    switched: dict[str, str] = field(default_factory=dict)
+    """To which pod the robot's side has switched by itself from another one (both by name)."""
     blind: bool = False
     """Whether the monitor has discovered nobody."""
     heard_after: float = 0.0
@@ -440,6 +442,9 @@ class Outputs(_Part):
         if self.store.beside and (former := self.store.gate.recovery and self.store.gate.recovery.former):
             leaks.append((self.world.clock() - 10.0, former.name))
         return max(leaks, default=(0.0, ""))
+
+    def switched_to(self, instance: Instance) -> str:
+        return self.store.switched.get(instance.name, "")
 
     def period_of_others(self, instance: Instance) -> float:
         return max((leak.period for leak in self.store.leaks.values()), default=PERIOD)

@@ -245,6 +245,9 @@ class Outputs:
         found = [(CLOCK.of_system(last), name) for name, other in others if (last := heard(other)) is not None]
         return max(found, default=(0.0, ""))
 
+    def switched_to(self, instance: Instance) -> str:
+        return ""
+
     def period_of_others(self, instance: Instance) -> float:
         now = self._robots.now
         periods = [r.period for _, r in self._others(instance) if now - (r.last_arrival(now) or 0.0) < RECENT]

@@ -200,6 +200,19 @@ def test_an_instance_to_which_the_mux_switched_and_that_does_not_send_is_idle_af
     assert reports.own_switch("w-2") is None
 
 
+def test_a_switch_from_the_ordered_instance_counts_if_the_report_answers_that_order(reports: MuxReports) -> None:
+    other = replace(REPORT, token=Token(1000.0, 5, 1), source="w-2")
+    reports.add(REPORT)
+    assert reports.switched_from("w-1", "uid of w-1") == ""
+    reports.add(other)
+    assert reports.switched_from("w-1", "uid of w-1") == "w-2"
+    assert reports.switched_from("w-2", "uid of w-2") == ""
+    ordered(reports, Order(1000.0, 6, "w-3"), nonce="n-2")
+    assert reports.switched_from("w-3", "uid of w-3") == "", "the mux may not have received the order yet"
+    reports.add(replace(other, nonce="n-2", refused="it has switched to w-2 by itself"))
+    assert reports.switched_from("w-3", "uid of w-3") == "w-2"
+
+
 @pytest.mark.parametrize(
     ("token", "source", "forwarded", "is_back"),
     [

@@ -61,6 +61,9 @@ class NoOutputs(Outputs):
     def heard(self) -> Sequence[tuple[float, float]]:
         return []
 
+    def switched_to(self, instance: Instance) -> str:
+        return ""
+
     def period_of_others(self, instance: Instance) -> float:
         return 0.0
 

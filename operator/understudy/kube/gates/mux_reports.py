@@ -239,6 +239,17 @@ class MuxReports:
         ages = report.heard.get(active, {}).values()
         return base.OwnSwitch(report.source, is_idle, active_sends=bool(ages) and max(ages) < HEARD)
 
+    def switched_from(self, name: str, uid: str) -> str:
+        """Return to which other instance the mux has switched by itself from the one that it was ordered to forward; empty if to none.
+
+        A report counts if it answers the present order.
+        """
+        if self.latest is None or self._ordered is None or self._ordered[0] != uid:
+            return ""
+        is_answer = self._nonces.get(self.latest.report.nonce) == self._ordered[1].epoch
+        switch = self.own_switch(name) if is_answer else None
+        return switch.to if switch is not None else ""
+
     def is_back(self, active: str) -> bool:
         """Return whether the mux forwards the active instance again, after a switch of its own to another one."""
         found = self.latest

@@ -266,6 +266,9 @@ class Monitor:
     def last_from_others(self, instance: Instance) -> tuple[float, str]:
         return 0.0, ""
 
+    def switched_to(self, instance: Instance) -> str:
+        return ""
+
     def period_of_others(self, instance: Instance) -> float:
         return 0.0
 

@@ -75,6 +75,22 @@ async def test_an_instance_drives_once_each_expected_output_of_it_was_forwarded(
     assert began <= first <= CLOCK.now()
 
 
+async def test_a_report_from_before_the_order_is_no_evidence_of_the_instance_to_which_the_mux_had_switched(
+    observer: HealthObserver, reports: MuxReports
+) -> None:
+    outputs, began = observer.outputs(cast(Any, Instances()), cast(Any, Gate())), CLOCK.now()
+    reports.add(replace(REPORT, token=replace(ORDER.token, count=1), source="w-2"))
+    reports.ordered("uid-2", Order(1000.0, 6, "w-2"), "n-2")
+    waiting = asyncio.create_task(outputs.first_from(OTHER, since=began))
+    await asyncio.sleep(0.02)
+    assert not waiting.done(), "the mux may have switched from it since"
+    reports.add(replace(REPORT, nonce="n-2", token=replace(ORDER.token, epoch=6), source="w-2"))
+    assert await waiting is not None
+    assert outputs.switched_to(OTHER) == ""
+    reports.add(replace(REPORT, nonce="n-2", token=replace(ORDER.token, epoch=6, count=1)))
+    assert outputs.switched_to(OTHER) == "w-1"
+
+
 async def test_while_no_mux_reports_what_an_instance_sends_has_to_do(
     observer: HealthObserver, reports: MuxReports, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -521,6 +521,10 @@ class GatedReaders:
         senders = (one for one in self._observer.output_senders() if one.uid or own_is_known)
         return [(CLOCK.of_system(one.last), one.interval) for one in senders]
 
+    def switched_to(self, instance: Instance) -> str:
+        """Return nothing: only what the gate names reaches the robot, or the readers of the robot switch, which is seen as a leak."""
+        return ""
+
     def period_of_others(self, instance: Instance) -> float:
         """Return the longest usual time in seconds between two samples of another instance on one topic; 0 if none was heard of late."""
         self._drain()
@@ -558,7 +562,9 @@ class ForwardedOutputs(GatedReaders):
 
     def _forwarded_from(self, instance: Instance, since: float) -> float | None:
         forwarded, heard = self._reports.forwarded(instance.name), self._reports.heard()
-        if forwarded is None or forwarded.at < since:
+        acknowledged = self._reports.last(instance.uid)
+        # Before it knows the order, it may have switched to this instance by itself, and from it to another one since.
+        if forwarded is None or acknowledged is None or CLOCK.of_system(acknowledged) < since:
             return None
         if not all(heard.get(topic, -math.inf) >= since for topic in self.expected):
             return None
@@ -576,6 +582,10 @@ class ForwardedOutputs(GatedReaders):
     def last_from_others(self, instance: Instance) -> tuple[float, str]:
         """Return that no sample of another instance is forwarded."""
         return 0.0, ""
+
+    def switched_to(self, instance: Instance) -> str:
+        """Return to which other instance the mux has switched by itself, as its answer to the present order reports."""
+        return self._reports.switched_from(instance.name, instance.uid)
 
     def period_of_others(self, instance: Instance) -> float:
         """Return 0, as no sample of another instance is awaited."""
