@@ -10,7 +10,7 @@ import yaml
 from tests.e2e.kubectl import Kubectl, Object
 from tests.e2e.scenario import SIGNAL, Robot, eventually
 
-MANIFESTS = Path(__file__).parents[2] / "examples" / "dependent" / "manifests"
+EXAMPLE = Path(__file__).parents[2] / "examples" / "dependent"
 GAP = "2s"
 """A busy machine may keep an application from talking for a second; here one failure is looked at, and there should be no other."""
 
@@ -48,10 +48,11 @@ class Application(Robot):
 class Three:
     """The robot and its applications."""
 
-    def __init__(self, kubectl: Kubectl) -> None:
+    def __init__(self, kubectl: Kubectl, gate_kind: str) -> None:
         self.kubectl = kubectl
-        for file in ("policies", "robotworkloads", "robot"):
-            found = [item for item in yaml.safe_load_all((MANIFESTS / f"{file}.yaml").read_text()) if item]
+        folder = "mux" if gate_kind == "Mux" else "manifests"
+        for file in ("manifests/policies", f"{folder}/robotworkloads", f"{folder}/robot"):
+            found = [item for item in yaml.safe_load_all((EXAMPLE / f"{file}.yaml").read_text()) if item]
             for item in found:
                 if item["kind"] == "FailurePolicy":
                     item["spec"]["monitoring"]["yaml"]["topic"]["gap"] = GAP
@@ -67,8 +68,8 @@ class Three:
 
 
 @pytest.fixture
-def three(kubectl: Kubectl) -> Three:
-    found = Three(kubectl)
+def three(kubectl: Kubectl, gate_kind: str) -> Three:
+    found = Three(kubectl, gate_kind)
     found.wait_driven()
     for one in (found.planning, found.control):
         eventually(

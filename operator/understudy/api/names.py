@@ -221,10 +221,16 @@ STATE_DIR = "/var/lib/understudy"
 """Where monitors and muxes keep their state."""
 
 MUX_TOKEN_FILE = "/etc/understudy-mux/token"
-"""Where a mux reads its token by default: the Secret :func:`mux` is mounted there."""
+"""Where a mux of one workload reads its token by default: the Secret :func:`mux` is mounted there."""
 
 MUX_TOKEN_VARIABLE = "UNDERSTUDY_TOKEN_FILE"
 """Environment variable of a mux with another file that has its token."""
+
+MUX_FOLDER = "/etc/understudy-mux"
+"""Where a mux of several workloads finds by default a folder for each, with what the ConfigMap and the Secret :func:`mux` contain."""
+
+MUX_FOLDER_VARIABLE = "UNDERSTUDY_MUX_FOLDER"
+"""Environment variable of a mux with another folder than MUX_FOLDER."""
 
 MUX_STATE_VARIABLE = "UNDERSTUDY_STATE"
 """Environment variable of a mux with another folder than STATE_DIR."""

@@ -18,8 +18,9 @@ pytest.importorskip("rclpy")
 
 
 from tests.unit.ros.processes import Processes
-from tests.unit.ros.test_forwarded_topic import CHAT, HEAR, OUTPUTS, TALK
+from tests.unit.ros.test_forwarded_topic import CHAT, HEAR, TALK, TYPE
 from understudy.api import names
+from understudy.api.kinds.robot_workload import Output
 from understudy.api.protocol.mux_messages import (
     OnBoard,
     Order,
@@ -39,7 +40,6 @@ from understudy.ros.dds.profiles import muxed_profiles_xml
 pytestmark = pytest.mark.ros
 
 TOKEN = b"token"
-KEYS = derive(TOKEN, "fleet", "w")
 ORDER = Order(1000.0, 5, "w-1")
 
 MONITOR = """
@@ -61,24 +61,28 @@ for line in sys.stdin:
 
 
 class Stand:
-    """A robot, a monitor's topics, instances, and the process of a mux."""
+    """A robot, a monitor's topics, instances, and the process of a mux, of one workload."""
 
-    def __init__(self, processes: Processes, folder: Path) -> None:
+    def __init__(self, processes: Processes, folder: Path, workload: str = "w", topic: str = CHAT) -> None:
+        self.outputs, self._keys = [Output(topic=topic, type=TYPE)], derive(TOKEN, "fleet", workload)
+        self._remapped = ["--ros-args", "-r", f"{CHAT}:={topic}"]
+        self.settings = {
+            names.NAMESPACE_VARIABLE: "fleet",
+            names.WORKLOAD_VARIABLE: workload,
+            names.OUTPUTS_VARIABLE: json.dumps([{"topic": topic, "type": TYPE}]),
+        }
         for name, text in (("talk", TALK), ("hear", HEAR), ("monitor", MONITOR)):
             (folder / f"{name}.py").write_text(text)
-        (folder / "instance.xml").write_text(muxed_profiles_xml(OUTPUTS))
+        (folder / "instance.xml").write_text(muxed_profiles_xml(self.outputs))
         (folder / "token").write_bytes(TOKEN)
         self._processes, self._folder = processes, folder
-        self.robot = processes.node(script=str(folder / "hear.py"))
-        self.monitor = processes.node(*topics("fleet", "w"), script=str(folder / "monitor.py"))
-        self.start()
+        self.robot = processes.node(*self._remapped, script=str(folder / "hear.py"))
+        self.monitor = processes.node(*topics("fleet", workload), script=str(folder / "monitor.py"))
 
     def start(self, **environment: str) -> None:
         self.mux = self._processes.start(
             [sys.executable, "-m", "understudy.main", "mux"],
-            UNDERSTUDY_NAMESPACE="fleet",
-            UNDERSTUDY_WORKLOAD="w",
-            UNDERSTUDY_OUTPUTS=json.dumps([output.model_dump(mode="json", exclude_none=True) for output in OUTPUTS]),
+            **self.settings,
             UNDERSTUDY_TOKEN_FILE=str(self._folder / "token"),
             UNDERSTUDY_STATE=str(self._folder / "state"),
             UNDERSTUDY_ADDRESS="127.0.0.1",
@@ -89,6 +93,7 @@ class Stand:
         profile = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(self._folder / "instance.xml")} if muxed else {}
         node: subprocess.Popen[str] = self._processes.node(
             pod,
+            *self._remapped,
             script=str(self._folder / "talk.py"),
             **{names.POD_VARIABLE: pod, **profile},
         )
@@ -100,7 +105,7 @@ class Stand:
         order = replace(order, mux=self.report().mux)
         end = time.monotonic() + 30
         while time.monotonic() < end:
-            print(order_text(order, nonce, KEYS), file=self.monitor.stdin, flush=True)
+            print(order_text(order, nonce, self._keys), file=self.monitor.stdin, flush=True)
             report = self.report()
             if report.nonce == nonce:
                 return report
@@ -108,7 +113,7 @@ class Stand:
 
     def report(self) -> Report:
         """Return the next report."""
-        return read_report(self._processes.line(self.monitor, 30), KEYS)
+        return read_report(self._processes.line(self.monitor, 30), self._keys)
 
     def until(self, source: str) -> Report:
         """Wait until samples of an instance are forwarded."""
@@ -127,7 +132,9 @@ class Stand:
 @pytest.fixture
 def stand(processes: Processes, discovery_server: Callable[[], object], tmp_path: Path) -> Stand:
     discovery_server()
-    return Stand(processes, tmp_path)
+    found = Stand(processes, tmp_path)
+    found.start()
+    return found
 
 
 def test_the_robot_receives_whom_the_newest_order_names_also_after_a_restart_of_the_mux(stand: Stand) -> None:
@@ -241,3 +248,48 @@ def test_a_writer_beside_the_mux_is_reported_unless_its_node_is_allowed(stand: S
     stand.instance("w-1")
     # Discovery has reported the writer of the instance, and so the one beside it, and that of the mux that was killed.
     assert stand.until("w-1").strangers == ()
+
+
+def test_one_process_forwards_the_workloads_of_a_robot_each_by_its_own_orders(
+    processes: Processes, discovery_server: Callable[[], object], tmp_path: Path
+) -> None:
+    discovery_server()
+    stands = {"w": CHAT, "v": "/other"}
+    for workload in (*stands, "broken"):
+        (tmp_path / workload).mkdir()
+    w, v = (Stand(processes, tmp_path / workload, workload, topic) for workload, topic in stands.items())
+    broken = w.settings | {
+        names.WORKLOAD_VARIABLE: "x",
+        names.OUTPUTS_VARIABLE: '[{"topic": "/x", "type": "no_such/msg/Type"}]',
+    }
+    for workload, settings in (("w", w.settings), ("v", v.settings), ("broken", broken)):
+        folder = tmp_path / "served" / workload
+        folder.mkdir(parents=True)
+        for name, text in (settings | {names.TOKEN: TOKEN.decode()}).items():
+            (folder / name).write_text(text)
+
+    def start() -> subprocess.Popen[str]:
+        return processes.start(
+            [sys.executable, "-m", "understudy.main", "mux"],
+            UNDERSTUDY_MUX_FOLDER=str(tmp_path / "served"),
+            UNDERSTUDY_STATE=str(tmp_path / "state"),
+            UNDERSTUDY_ADDRESS="127.0.0.1",
+        )
+
+    mux = start()
+    for stand, pods in ((w, ("w-1", "w-2")), (v, ("v-1",))):
+        for pod in pods:
+            stand.instance(pod)
+    w.order(ORDER)
+    w.until("w-1")
+    assert v.heard() == [], "nobody has ordered anything for it"
+    v.order(replace(ORDER, epoch=9, source="v-1"))
+    v.until("v-1")
+    w.order(replace(ORDER, epoch=6, source="w-2"))
+    w.until("w-2")
+    assert (w.heard(), v.heard()) == (["w-1", "w-2"], ["v-1"])
+    mux.kill()
+    start()
+    assert w.until("w-2").mux == v.until("v-1").mux
+    assert "of epoch 5" in w.order(ORDER).refused
+    assert (w.heard(), v.heard()) == (["w-2"], ["v-1"])

@@ -13,17 +13,29 @@ _TOKEN_DIR = str(PurePosixPath(names.MUX_TOKEN_FILE).parent)
 
 
 def path(spec: object, config_map: str) -> str:
-    """Return the path of the container below a pod's spec that has the environment of a ConfigMap; empty if none has it."""
-    return next((where for where, one in _containers(spec) if _has_environment(one, config_map)), "")
+    """Return the path of the container below a pod's spec that has the environment of a ConfigMap, or as one of several workloads a folder
+    with it; empty if none has.
+    """
+    found = (
+        where for where, one in _containers(spec) if _has_environment(one, config_map) or _folder(spec, one, config_map)
+    )
+    return next(found, "")
 
 
 def problems(spec: object, workload: str) -> Iterator[str]:
     """Yield what the mux of a workload lacks in a pod, as sentences."""
     mux = names.mux(workload)
-    container = next((one for _, one in _containers(spec) if _has_environment(one, mux)), None)
+    container = next((one for where, one in _containers(spec) if where == path(spec, mux)), None)
     if container is None:
         return
-    if not _has_environment(container, names.robot_env(workload)):
+    is_folder = not _has_environment(container, mux)
+    if is_folder:  # the workloads of a robot have one ROS graph
+        if not any(_is_robot_env(at(one, "configMapRef", "name")) for one in items(container, "envFrom")):
+            yield (
+                "the mux does not join the robot's ROS graph, because it lacks the environment for that: add ConfigMap "
+                f"{names.robot_env(workload)} to envFrom"
+            )
+    elif not _has_environment(container, names.robot_env(workload)):
         yield (
             f"the mux does not join the robot's ROS graph, because it lacks the environment of ConfigMap {names.robot_env(workload)}: add "
             "it to envFrom"
@@ -34,10 +46,14 @@ def problems(spec: object, workload: str) -> Iterator[str]:
         if isinstance(at(one, "name"), str)
     }
     variables = {at(one, "name") for one in items(container, "env") if isinstance(at(one, "name"), str)}
-    secrets = [at(one, "name") for one in items(spec, "volumes") if at(one, "secret", "secretName") == mux]
-    is_mounted = any(isinstance(one, str) and mounted.get(one) == _TOKEN_DIR for one in secrets)
-    if names.MUX_TOKEN_VARIABLE not in variables and not is_mounted:
-        yield f"the mux has no token: mount a volume with Secret {mux} at {_TOKEN_DIR}"
+    if is_folder:
+        if mux not in (at(one, "secret", "name") for one in _folder(spec, container, mux)):
+            yield f"the mux has no token for this workload: add Secret {mux} to the volume with ConfigMap {mux}"
+    else:
+        secrets = [at(one, "name") for one in items(spec, "volumes") if at(one, "secret", "secretName") == mux]
+        is_mounted = any(isinstance(one, str) and mounted.get(one) == _TOKEN_DIR for one in secrets)
+        if names.MUX_TOKEN_VARIABLE not in variables and not is_mounted:
+            yield f"the mux has no token: mount a volume with Secret {mux} at {_TOKEN_DIR}"
     if names.MUX_STATE_VARIABLE not in variables and names.STATE_DIR not in mounted.values():
         yield (
             f"the mux forgets whom it forwards when its container restarts, and forwards nobody until the monitor's next order: mount a "
@@ -75,6 +91,24 @@ def _containers(spec: object) -> Iterator[tuple[str, Mapping[str, Any]]]:
         for number, one in enumerate(items(spec, kind)):
             if isinstance(one, Mapping):
                 yield f"{kind}[{number}]", one
+
+
+def _folder(spec: object, container: object, config_map: str) -> list[object]:
+    """Return the sources of the projected volume with a ConfigMap that a container mounts as the folder of one workload; else nothing."""
+    mounted = [
+        at(one, "name")
+        for one in items(container, "volumeMounts")
+        if str(PurePosixPath(str(at(one, "mountPath"))).parent) == names.MUX_FOLDER
+    ]
+    for volume in items(spec, "volumes"):
+        sources = items(volume, "projected", "sources")
+        if at(volume, "name") in mounted and config_map in (at(one, "configMap", "name") for one in sources):
+            return sources
+    return []
+
+
+def _is_robot_env(name: object) -> bool:
+    return isinstance(name, str) and name.endswith(names.robot_env(""))
 
 
 def _has_environment(container: object, config_map: str) -> bool:

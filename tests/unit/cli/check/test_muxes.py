@@ -10,6 +10,7 @@ from tests.support.golden import assert_golden
 from tests.unit.cli.check.manifests import POLICY, checked, found, only
 
 EXAMPLE = Path(__file__).parents[4] / "examples/quickstart/manifests"
+DEPENDENT = EXAMPLE.parents[1] / "dependent"
 ROBOT = (EXAMPLE / "mux/robot.yaml").read_text()
 WORKLOAD = (EXAMPLE / "mux/robotworkload.yaml").read_text()
 EXECUTING = (EXAMPLE / "strategies/executing.yaml").read_text()
@@ -40,6 +41,38 @@ def test_what_a_mux_lacks_in_its_pod_is_reported(line: str, instead: str, field:
     finding = only(ROBOT.replace(line, instead), WORKLOAD, EXECUTING)
     assert (finding.severity, finding.subject, finding.field) == ("warning", "Deployment robot-1", field)
     assert_golden("check", finding.message, fact)
+
+
+@pytest.mark.parametrize(
+    ("line", "fact"),
+    [
+        ("            - configMapRef: {name: robot-1-control-robot-env}\n          env:\n            - name: ROS_DISCOVERY_SERVER\n"
+         "              valueFrom: {configMapKeyRef: {name: robot-1-localization-robot-env, key: ROS_DISCOVERY_SERVER}}\n"
+         "          securityContext:", "robot-1-planning-robot-env"),
+        ("              - secret: {name: robot-1-planning-mux}\n", "Secret robot-1-planning-mux"),
+        ("            - {name: mux-state, mountPath: /var/lib/understudy}\n", "/var/lib/understudy"),
+    ],
+    ids=["graph", "secret", "state"],
+)  # fmt: skip
+def test_what_the_mux_of_several_workloads_lacks_is_reported_for_each(line: str, fact: str) -> None:
+    workloads, robot = ((DEPENDENT / "mux" / name).read_text() for name in ("robotworkloads.yaml", "robot.yaml"))
+    policies = (DEPENDENT / "manifests/policies.yaml").read_text()
+    assert checked(robot, workloads, policies).findings == []
+    assert line in robot
+    instead = "            []\n          securityContext:" if line.endswith("securityContext:") else ""
+    findings = checked(robot.replace(line, instead), workloads, policies).findings
+    assert {(one.severity, one.subject, one.field) for one in findings} == {
+        ("warning", "Deployment robot-1", "spec.template.spec.containers[1]")
+    }
+    assert any(fact in one.message for one in findings)
+
+
+def test_a_workload_without_a_folder_in_the_mux_of_its_robot_is_reported() -> None:
+    workloads, robot = ((DEPENDENT / "mux" / name).read_text() for name in ("robotworkloads.yaml", "robot.yaml"))
+    mount = "            - {name: control, mountPath: /etc/understudy-mux/control, readOnly: true}\n"
+    assert mount in robot
+    finding = only(robot.replace(mount, ""), workloads, (DEPENDENT / "manifests/policies.yaml").read_text())
+    assert (finding.severity, finding.subject) == ("warning", "RobotWorkload robot-1-control")
 
 
 def test_a_robot_with_an_instance_on_board_needs_volumes_that_keep_its_environment() -> None:
