@@ -216,6 +216,7 @@ class _Gate(_Part):
                 raise NoLongerNeeded("it drives by now")
         if self.store.gate.epoch != self._cached_gate.epoch:
             raise Superseded("another monitor was first")
+        await asyncio.sleep(0)  # no API server answers at once
         self.store.gate = GateState(
             epoch=self._cached_gate.epoch + 1,
             active=target.name if target else "",
@@ -368,6 +369,10 @@ class Agents(_Part):
     async def start(self, instance: Instance) -> None:
         self.world.effect()
         self._assert_behind_the_gate(instance, "a process was started")
+        decided_at = self.store.gate.epoch
+        await asyncio.sleep(0)  # as a connection to the agent needs it
+        if self.store.gate.epoch != decided_at:
+            raise NotVerified("the gate was switched meanwhile")
         while instance.name in self.store.silent:
             await asyncio.sleep(PERIOD)
         self.store.started.add(instance.name)

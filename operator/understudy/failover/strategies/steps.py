@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import AsyncIterator, Collection, Coroutine, Iterable
+from collections.abc import AsyncIterator, Collection, Iterable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
-from typing import Any
 
 from understudy.api.protocol.kept_state import KeptState
 from understudy.failover.bring_up import BringUp
@@ -86,13 +85,6 @@ async def join(me: Waiter, progress: Progress, context: StrategyContext) -> None
     if not waits or not _is_closed(progress, context):
         await context.gate.commit(None, progress)
     progress.moments.setdefault("fenced", context.clock())
-
-
-async def both(*work: Coroutine[Any, Any, object]) -> None:
-    """Run coroutines concurrently, and wait for all of them even if one fails: a commit must not be left in progress."""
-    for result in await asyncio.gather(*work, return_exceptions=True):
-        if isinstance(result, BaseException):
-            raise result
 
 
 async def close(progress: Progress, context: StrategyContext) -> None:

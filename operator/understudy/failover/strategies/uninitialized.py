@@ -14,7 +14,6 @@ from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.strategies.base import Strategy, StrategyContext, Unfit
 from understudy.failover.strategies.steps import (
     answered_time,
-    both,
     bring_up_and_open,
     claim_of,
     close,
@@ -198,13 +197,12 @@ class UninitializedFallback(Strategy):
         progress.charge("cluster", context.clock())
         waited, progress.waiting = progress.waiting, None
         context.save(progress)
-        starting = start_answered(target, context, within=within)
-        if waited is None:
-            await starting
-        else:
+        if waited is not None:
             context.queue.served(waited, target.name)
-            # Other workloads in the queue learn from the gate that this one no longer waits; meanwhile the processes start.
-            await both(starting, context.gate.commit(None, progress))
+            # Other workloads in the queue learn from the gate that this one no longer waits. The start comes after it: an agent is not
+            # commanded by a decision of an epoch that has passed.
+            await context.gate.commit(None, progress)
+        await start_answered(target, context, within=within)
 
     async def make_ready(
         self, progress: Progress, context: StrategyContext, *, within: float, unfit: Unfit
