@@ -199,9 +199,9 @@ class _Work:
     async def run(self) -> None:
         """Receive orders, and publish reports, until cancelled."""
         with self._exchange.receiving(self.order):
-            await self._report()
+            await self.report()
 
-    async def _report(self) -> None:
+    async def report(self) -> None:
         """Publish a report at once after a change, and once a second."""
         while True:
             self._exchange.publish(self._forwarder.report())
