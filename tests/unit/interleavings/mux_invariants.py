@@ -290,7 +290,7 @@ class MuxInvariants(Invariants):
         """Compare mux, gate, and what monitors report."""
         mux, record = self.mine.muxes[workload], gates.record(self._server, workload)
         source = mux.control.source if mux.control is not None and mux.runs() else ""
-        if workload in self.fenced:
+        if workload in self._ended_by_fence:  # a monitor may learn of the fence only after the user has resumed
             self._excuse_fenced(workload, monitors)
         for monitor in monitors:
             known, who = monitor.gate_record, str(monitor.process)

@@ -172,6 +172,25 @@ async def test_an_unanswered_commit_that_took_effect_counts_as_own(
     assert (gate.state.active, gate.state.epoch) == (STANDBY.name, 6)
 
 
+async def test_a_commit_whose_answer_was_lost_is_own_also_if_the_watch_has_not_shown_it_when_the_next_strategy_commits(
+    client: MemoryClient, found: ClusterView, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Otherwise the recovery is given up, and never recorded (model seed 3324061)."""
+    gate, progress, real = await open_gate(client, found, tmp_path, FAILED), recovery(), GATE.write
+
+    async def unanswered(*arguments: Any, **named: Any) -> Object:
+        await real(*arguments, **named)
+        raise RuntimeError("given up in its time")
+
+    monkeypatch.setattr(GATE, "write", unanswered)
+    with pytest.raises(RuntimeError):
+        await gate.commit(STANDBY, progress)
+    monkeypatch.setattr(GATE, "write", real)
+    assert gate.state.epoch == 4, "the watch is half-open"
+    await gate.commit(THIRD, progress)
+    assert (gate.state.active, gate.state.epoch) == (THIRD.name, 6)
+
+
 async def test_after_a_failed_recovery_the_gate_opens_over_any_commit(
     client: MemoryClient, found: ClusterView, tmp_path: Path
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import time
 from collections.abc import Collection, Sequence
@@ -48,6 +49,19 @@ class OwnCommit:
     """The epoch of the gate since that commit."""
     sent: str = ""
     """The record that was sent with it."""
+
+    def carried_out(self, record: GateRecord) -> bool:
+        """Return whether the gate is as this commit made it: also one without an answer may have been carried out.
+
+        The gate also has the record that was sent if another writer has closed it since and changed nothing else, so the epochs are
+        compared too.
+        """
+        committed = beside(self.sent) if record.recovery == self.sent else None
+        return committed is not None and record.epoch == committed.epoch
+
+
+class _EarlierCommitFound(Exception):
+    """The gate shows an earlier commit of the same recovery that was carried out without an answer."""
 
 
 class GateControl:
@@ -128,7 +142,9 @@ class GateControl:
         again, or was silent because somebody deleted the gate.
         """
         async with self._changing:
-            return await self._commit(target, progress, leaking, against)
+            while True:
+                with contextlib.suppress(_EarlierCommitFound):
+                    return await self._commit(target, progress, leaking, against)
 
     async def _commit(
         self,
@@ -144,6 +160,7 @@ class GateControl:
         self._probes.deciding()
         if (instance := target) is not None:
             await answered(lambda: self._fleet.label(instance))
+        earlier = self._own
         record, retry, workload = previous, RETRY_FIRST, self._view.workload
         is_away = was_overtaken = False
         name, uid = (target.name, target.uid) if target else ("", "")
@@ -190,11 +207,11 @@ class GateControl:
             if not at_once:
                 await asyncio.sleep(retry)
                 retry = min(2 * retry, RETRY_MOST)
-            read = await self._reread(previous, uid, recovery)
+            read = await self._reread(previous, uid, recovery, earlier)
             # The commit may have been carried out. That must be known first, because nothing records a recovery that was not needed.
             while read is None and self._not_needed(record, progress):
                 await asyncio.sleep(retry)
-                read = await self._reread(previous, uid, recovery)
+                read = await self._reread(previous, uid, recovery, earlier)
             if read is not None and (read.active_uid in against or read.admitted_uid in against):
                 raise Superseded(f"another process lets {read.admitted or read.active} through")
             record = read or record
@@ -247,14 +264,7 @@ class GateControl:
             return
         own = self._own
         if own.recovery == progress.id:
-            # A commit without an answer may have been carried out. The gate also has the record that was sent if another writer has closed
-            # it since and changed nothing else, so the epochs are compared too.
-            carried_out = (
-                previous.recovery == own.sent
-                and (committed := beside(own.sent)) is not None
-                and previous.epoch == committed.epoch
-            )
-            if previous.epoch != own.epoch and not carried_out:
+            if previous.epoch != own.epoch and not own.carried_out(previous):
                 raise Superseded(
                     f"another process changed the gate to epoch {previous.epoch}; this recovery knew epoch {own.epoch}"
                 )
@@ -502,14 +512,20 @@ class GateControl:
         self._view.gates.put(gate)
         return gate
 
-    async def _reread(self, previous: GateRecord, uid: str, recovery: str) -> GateRecord | None:
-        """Read the gate after a refused or unanswered commit, which may have been carried out. Returns None if the gate
-        cannot be read; raises Superseded if another writer has changed it."""
+    async def _reread(self, previous: GateRecord, uid: str, recovery: str, earlier: OwnCommit) -> GateRecord | None:
+        """Read the gate after a refused or unanswered commit, which may have been carried out. Returns None if the gate cannot be read.
+
+        Raises Superseded if another writer has changed it, and _EarlierCommitFound if only an earlier commit of the same recovery has,
+        whose answer was lost.
+        """
         if (gate := await self._read_again()) is None:
             return None
         record = GateRecord.of(gate)
         ours = record.epoch == previous.epoch + 1 and record.active_uid == uid and record.recovery == recovery
         if record.epoch != previous.epoch and not ours:
+            if earlier.recovery == self._own.recovery and earlier.carried_out(record):
+                self._own = earlier
+                raise _EarlierCommitFound
             raise Superseded(
                 f"another process changed the gate to epoch {record.epoch}; this monitor knew epoch {previous.epoch}"
             )
