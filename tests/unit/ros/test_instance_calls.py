@@ -17,6 +17,7 @@ from tests.support.network_namespaces import Network, network
 from tests.unit.ros.processes import PACKAGE, Processes
 from understudy.api import names
 from understudy.api.kinds.robot_workload import Gate
+from understudy.ros.dds.profiles import mux_monitor_profiles_xml
 from understudy.ros.rmw import MIDDLEWARE
 
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("dds")]
@@ -307,9 +308,10 @@ rclpy.spin(node)
 class Instances:
     """The process that publishes to the instance of its host, that instance, and one of another host that no packet reaches."""
 
-    def __init__(self, running: Processes, lan: Network, known: str, profiles: Path | None = None) -> None:
-        environment = {} if profiles is None else {MIDDLEWARE.settings_variable: str(profiles)}
-        environment |= {
+    def __init__(
+        self, running: Processes, lan: Network, known: str, profiles: Path | None = None, of_other: Path | None = None
+    ) -> None:
+        environment = {
             "ROS_DOMAIN_ID": "62",
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
             "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
@@ -317,9 +319,19 @@ class Instances:
         }
         other, own = lan.host("10.62.0.2"), lan.host("10.62.0.3")
         listen, publish = ["-c", LISTEN], [str(Path(__file__).parent / "publishing.py"), "2", known]
+        variable = MIDDLEWARE.settings_variable
         unreachable, self.instance, self._publisher = (
-            running.start([*host, sys.executable, *command], **environment, **{names.POD_VARIABLE: pod})
-            for pod, host, command in (("w-2", other, listen), ("w-1", own, listen), ("w-1", own, publish))
+            running.start(
+                [*host, sys.executable, *command],
+                **environment,
+                **{names.POD_VARIABLE: pod},
+                **({variable: str(settings)} if settings is not None else {}),
+            )
+            for pod, host, command, settings in (
+                ("w-2", other, listen, of_other or profiles),
+                ("w-1", own, listen, profiles),
+                ("w-1", own, publish, profiles),
+            )
         )
         assert running.line(self._publisher, WITHIN) == "all"
         unreachable.send_signal(signal.SIGSTOP)
@@ -334,13 +346,17 @@ class Instances:
 
 @pytest.fixture(params=["named"])
 def instances(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Instances]:
-    running, known, profiles = Processes(), request.param, None
-    if known == "apart":  # by a mux, so that the nodes of the other one are never known
-        known, profiles = "discovered", tmp_path / "profiles.xml"
+    running, known, profiles, of_other = Processes(), request.param, None, None
+    if known in ("apart", "monitored"):  # by a mux, so that the nodes of the other one are never known
+        profiles = tmp_path / "profiles.xml"
         profiles.write_text(MIDDLEWARE.instance_settings([], [], Gate(kind="Mux")))
+        if known == "monitored":  # the other one is a monitor, whose readers are in the partitions of all instances
+            of_other = tmp_path / "monitor.xml"
+            of_other.write_text(mux_monitor_profiles_xml([]))
+        known = "discovered"
     with network() as lan:
         try:
-            yield Instances(running, lan, known, profiles)
+            yield Instances(running, lan, known, profiles, of_other)
         finally:
             running.end()
 
@@ -363,6 +379,18 @@ def test_a_subscriber_of_an_instance_that_a_partition_keeps_apart_is_not_waited_
         instances.publish("early", 2.0)
         == "failed the subscribers of /initialpose have not taken the message within 2 s"
     )
+    instances.instance.send_signal(signal.SIGCONT)
+    assert instances.publish("late", WITHIN) == "published late"
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="network namespaces need root")
+@pytest.mark.parametrize("instances", ["monitored"], indirect=True)
+def test_a_former_monitor_that_is_not_reached_any_more_delays_nothing(instances: Instances) -> None:
+    """Its node was lost, for example. Discovery forgets it after 20 s."""
+    assert instances.publish("here", 10.0) == "published here"
+    assert Processes.line(instances.instance, WITHIN) == "here"
+    instances.instance.send_signal(signal.SIGSTOP)
+    assert instances.publish("early", 2.0).startswith("failed a message was sent on /initialpose, and ")
     instances.instance.send_signal(signal.SIGCONT)
     assert instances.publish("late", WITHIN) == "published late"
 

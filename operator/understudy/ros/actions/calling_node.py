@@ -88,12 +88,14 @@ class CallingNode:
         reached = here if self._is_kept_apart else len(readers)
         return here > 0 and bool(publisher.get_subscription_count() >= reached)
 
-    def is_read_elsewhere(self, topic: str, type_name: str) -> bool:
-        """Whether a reader on another host subscribes to a topic and is matched by writers of this process."""
-        if self._is_kept_apart:
-            return False
-        readers = self.node.get_subscriptions_info_by_topic(topic)
-        return any(e.topic_type == type_name and not self._here(e) for e in readers)
+    def is_read_elsewhere(self, publisher: Any, topic: str, type_name: str) -> bool:
+        """Whether a reader on another host subscribes to a topic and is matched by a publisher of this process.
+
+        Of a pod that is kept apart, that is the monitor, or a former one whose process or node has ended.
+        """
+        readers = [e for e in self.node.get_subscriptions_info_by_topic(topic) if e.topic_type == type_name]
+        here = sum(map(self._here, readers))
+        return here < (publisher.get_subscription_count() if self._is_kept_apart else len(readers))
 
     def subscribers(self, topic: str, type_name: str) -> set[str]:
         """Return the full names of the ROS nodes here that subscribe to a topic; empty for one that is not known yet."""

@@ -244,7 +244,7 @@ class InstanceCaller:
                     publisher.publish(wire() if callable(wire) else wire)
                 bound.missing = f"the subscribers of {topic} have not taken the message"
                 while True:
-                    elsewhere = opened.is_read_elsewhere(topic, type_name)
+                    elsewhere = opened.is_read_elsewhere(publisher, topic, type_name)
                     if elsewhere and answered and await _answer(opened, bound, topic, type_name):
                         break
                     if await asyncio.to_thread(_acknowledged, publisher):
