@@ -12,6 +12,7 @@ pytest.importorskip("rclpy")
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
+from understudy.ros.observe.sample_rings import SampleRing
 from understudy.ros.observe.topic_watch import TopicWatch
 from understudy.ros.runtime.graph_node import Graph
 from understudy.trees.core.health_tree import WatchedTopic
@@ -39,6 +40,8 @@ def test_two_instances_with_one_address_are_told_apart_by_their_writers(graph: G
     one, other = (writer.gid for writer in graph.publishers(CHAT))
     watching.attribute_writers({one: "w-1", other: "w-2"})
     watching.attribute({}, "w-1")
+    ring = SampleRing(60.0, 1_000_000)
+    watching.record(ring, only_counted=True)
     while not (watching.arrivals(CHAT, "w-1") and watching.arrivals(CHAT, "w-2")):
         assert time.monotonic() < end
         first.publish(String(data="x"))
@@ -51,6 +54,8 @@ def test_two_instances_with_one_address_are_told_apart_by_their_writers(graph: G
     last = watching.last_from_others(CHAT, "w-1")
     assert last is not None
     assert last[1] == "w-2"
+    (recorded,) = ring.taken(0.0)
+    assert [received for received, *_ in recorded.messages] == list(own), "the robot receives nobody else"
 
 
 def test_what_was_received_before_a_writer_was_known_stays_with_its_instance(graph: Graph) -> None:

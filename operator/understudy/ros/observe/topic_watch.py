@@ -164,6 +164,7 @@ class TopicWatch:
         self._taker = SampleTaker()
         self._arrivals = arrivals
         self._ring: SampleRing | None = None
+        self._records_counted = False
         self._topics: dict[str, _Topic] = {}
         self._sources = Sources({})
         self._senders: dict[bytes, bytes] = {}
@@ -196,9 +197,12 @@ class TopicWatch:
             elif known.want != want:
                 self._change(known, want)
 
-    def record(self, ring: SampleRing | None) -> None:
-        """Store the messages themselves in a ring from now on; with None, no longer."""
-        self._ring = ring
+    def record(self, ring: SampleRing | None, *, only_counted: bool = False) -> None:
+        """Store the messages themselves in a ring from now on; with None, no longer.
+
+        With ``only_counted``, only those that count as evidence: a process that also receives the instances that the robot does not.
+        """
+        self._ring, self._records_counted = ring, only_counted
         for topic in self._topics.values():
             self._record(topic)
 
@@ -432,10 +436,10 @@ class TopicWatch:
                     continue
                 stamped, sent, gid, sequence, data = sample
                 received = min(max(stamped, low), high) if bounded else stamped
-                if track is not None and track.wanted:
-                    track.add(received, sent, sequence, data or self._taker.data())
                 sender = senders.get(gid) or MIDDLEWARE.host_of(gid)
                 source = sources.get(sender) or self._new_source(topic, sender)
+                if track is not None and track.wanted and (source.accepted or not self._records_counted):
+                    track.add(received, sent, sequence, data or self._taker.data())
                 source.add(received)
                 if source.number(gid, sequence, received) and losing:
                     source.observed_since = received

@@ -184,8 +184,11 @@ class HealthObserver:
         return states(self._tree) if self._tree is not None else ()
 
     def record(self, ring: SampleRing | None) -> None:
-        """Also keep the messages in a ring from now on; None stops this."""
-        self._watching.record(ring)
+        """Also keep the messages in a ring from now on, as the robot receives them; None stops this.
+
+        With a mux, this process also receives the standbys, and the robot does not.
+        """
+        self._watching.record(ring, only_counted=self._forwarding is not None)
 
     def offered(self, topic: str) -> str:
         """Return the QoS that the publishers of a topic offer now, in the format of recordings."""
