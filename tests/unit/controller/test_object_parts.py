@@ -16,6 +16,7 @@ from understudy.controller.observed.pod_diagnosis import trouble
 from understudy.controller.pods import instance_pod, pod_placement
 from understudy.controller.status import policy_status
 from understudy.kube.client import Object
+from understudy.kube.gates import registry
 from understudy.ros.rmw import MIDDLEWARE
 
 ENVIRONMENT = {"ROS_DOMAIN_ID": "7", "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp", "ROS_DISCOVERY_SERVER": "10.0.0.1:11811"}
@@ -203,6 +204,21 @@ class TestMonitors:
         assert rules["statefulsets",]["resourceNames"] == ["arm"]
         assert set(rules["statefulsets",]["verbs"]) == {"get", "list", "watch"}
         assert ("replicasets/scale",) not in rules
+
+    def test_the_monitor_may_read_the_gates_of_upstream_workloads_and_not_commit_to_them(self) -> None:
+        (role,) = (
+            item
+            for kind, item in monitor_deployment.access(
+                "w", source=("ReplicaSet", "w"), policy="p", pools=[], upstream=["b", "a"]
+            )
+            if kind == "Role"
+        )
+        read = {
+            rule["resources"][0]: rule["verbs"]
+            for rule in role["rules"]
+            if rule.get("resourceNames") == [names.gate("a"), names.gate("b")]
+        }
+        assert read == {one.plural: ["get", "list", "watch"] for one in registry.GATE_RESOURCES}
 
 
 class TestPodDiagnosis:

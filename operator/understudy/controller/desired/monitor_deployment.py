@@ -209,7 +209,7 @@ def access(
     ``source`` is kind and name of the controller that replaces pods. ``policy`` is the FailurePolicy that the monitor
     reads, or None for a monitor that does not read it by name (see asks_by_name).
     ``pools`` are the shared pools whose agents it may command. ``upstream`` are the workloads that it depends on and
-    whose health it may read. ``gate`` is the kind of its gate.
+    whose health and gates it may read. ``gate`` is the kind of its gate.
     """
     source_kind, source_name = source
     tokens = [
@@ -230,6 +230,9 @@ def access(
         _rule("apps", [f"{source_kind.lower()}s"], watch, [source_name]),
         _rule("", ["events"], ["list", "create", "patch"]),
     ]
+    if upstream:
+        gates = [names.gate(one) for one in sorted(upstream)]
+        rules += [_rule(one.group, [one.plural], watch, gates) for one in registry.GATE_RESOURCES]
     if pools or policy is None:
         # The gates of other workloads show which of them wait for a pod of a shared pool.
         rules += [_rule(one.group, [one.plural], ["list", "watch"]) for one in registry.GATE_RESOURCES]
