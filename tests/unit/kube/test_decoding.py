@@ -112,4 +112,4 @@ def test_no_garbage_is_collected_while_a_long_text_is_decoded(read: Callable[[st
         gc.callbacks.remove(note)
     assert found
     assert gc.isenabled()
-    assert during <= 2, "one collection after it, begun and ended"
+    assert during <= 6, "a collection before it and after it, each begun and ended; during it there would be hundreds"
