@@ -7,7 +7,7 @@ import pytest
 from understudy.api import names
 from understudy.api.kinds.robot_workload import Output, Reflex
 from understudy.api.kinds.task_spec import Task
-from understudy.ros.dds.profiles import gate_ports, instance_profiles_xml, profiles_xml
+from understudy.ros.dds.profiles import gate_ports, instance_profiles_xml, mux_profiles_xml, profiles_xml
 
 CMD_VEL = Output(topic="/cmd_vel", type="geometry_msgs/msg/Twist")
 SNAP = Output(service="/snap", type="std_srvs/srv/Trigger")
@@ -135,3 +135,11 @@ def test_a_deadline_of_the_reflex_is_at_most_the_lifespan_of_topics() -> None:
 def test_only_with_tasks_or_the_reflex_do_instances_have_profiles_of_readers() -> None:
     assert "<data_reader" not in instance_profiles_xml([], [CMD_VEL, SNAP, GOTO])
     assert instance_profiles_xml([]) == ""
+
+
+def test_a_mux_that_starts_again_asks_its_discovery_server_ten_times_a_second() -> None:
+    """Nothing reaches the robot until the server has answered: 0.4 s instead of 1.1 s (bench mux)."""
+    root = ElementTree.fromstring(mux_profiles_xml([]))
+    period = root.find(".//{*}participant[@is_default_profile='true']//{*}clientAnnouncementPeriod")
+    assert period is not None
+    assert [part.text for part in period] == ["0", "100000000"]
