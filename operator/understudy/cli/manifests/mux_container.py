@@ -25,7 +25,8 @@ def path(spec: object, config_map: str) -> str:
 def problems(spec: object, workload: str) -> Iterator[str]:
     """Yield what the mux of a workload lacks in a pod, as sentences."""
     mux = names.mux(workload)
-    container = next((one for where, one in _containers(spec) if where == path(spec, mux)), None)
+    place = path(spec, mux)
+    container = next((one for where, one in _containers(spec) if where == place), None)
     if container is None:
         return
     is_folder = not _has_environment(container, mux)
