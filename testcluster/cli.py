@@ -5,6 +5,7 @@ import os
 import sys
 from collections.abc import Callable
 
+from testcluster.local.programs import ENFORCERS
 from testcluster.modes import NetworkModes
 from testcluster.progress import Progress
 from testcluster.providers.base import ClusterError, Provider
@@ -33,8 +34,10 @@ _API: dict[str, Callable[[Provider], None]] = {
 }
 
 
-def select(name: str | None, cluster: str | None, progress: Progress) -> Provider:
+def select(name: str | None, cluster: str | None, progress: Progress, network: str | None = None) -> Provider:
     """Return the provider of a name, or the one that suits this machine: kind if it works here, else local.
+
+    ``network`` is what enforces network policies in a new cluster of the local provider, which can have several.
 
     Raises:
         ClusterError: no provider can be used here; the message says what each lacks.
@@ -48,9 +51,13 @@ def select(name: str | None, cluster: str | None, progress: Progress) -> Provide
                 f"no cluster can be made on this machine ({lacks}); "
                 "--provider current uses the one that kubectl is pointed at"
             )
-    if name == "kind":
-        return KindProvider(cluster, progress)
-    return LocalProvider(cluster, progress) if name == "local" else CurrentProvider(progress)
+    if network and network not in ENFORCERS:
+        raise ClusterError(f"network {network!r}: {' or '.join(ENFORCERS)} is needed")
+    if name == "local":
+        return LocalProvider(cluster, progress, network)
+    if network:
+        raise ClusterError(f"provider {name}: its network cannot be chosen, only that of provider local")
+    return KindProvider(cluster, progress) if name == "kind" else CurrentProvider(progress)
 
 
 def add_selection(parser: argparse.ArgumentParser) -> None:
@@ -77,7 +84,14 @@ def parser() -> argparse.ArgumentParser:
         prog="scripts/cluster", description="A real Kubernetes cluster for trying and testing."
     )
     commands = top.add_subparsers(dest="command", required=True)
-    commands.add_parser("up", parents=[common], help="make the cluster, or the missing parts of it")
+    up = commands.add_parser("up", parents=[common], help="make the cluster, or the missing parts of it")
+    up.add_argument(
+        "--network",
+        choices=list(ENFORCERS),
+        default=os.environ.get("UNDERSTUDY_CLUSTER_NETWORK") or None,
+        help="what enforces network policies in a new cluster of provider local: a small program of its own (default), or Cilium, which is "
+        "built here (also: UNDERSTUDY_CLUSTER_NETWORK)",
+    )
     commands.add_parser("down", parents=[common], help="remove everything that up made")
     commands.add_parser(
         "status", parents=[common], help="print the state of the cluster; exit code 0 if it can be used"
@@ -136,7 +150,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     progress = Progress()
     try:
-        provider = select(options.provider, options.name, progress)
+        provider = select(options.provider, options.name, progress, getattr(options, "network", None))
         if options.command == "up":
             provider.up()
         elif options.command == "down":

@@ -9,7 +9,7 @@ import re
 import shutil
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from testcluster import atomic, locks, packages
@@ -103,6 +103,7 @@ def build(
     progress: Progress,
     estimate: str,
     env: Mapping[str, str] | None = None,
+    finish: Callable[[str, Path], None] = lambda go, folder: None,
 ) -> Path:
     """Build packages of the module in a folder unless they exist, and return the folder with the programs.
 
@@ -112,6 +113,7 @@ def build(
         flags: further flags of `go build`.
         estimate: the duration without a warm cache, for the message.
         env: further environment of `go build`, such as CGO_ENABLED=1 for a program with parts in C.
+        finish: adds what belongs to the programs, given the compiler and their folder.
 
     Raises:
         CommandFailed: with the compiler's last lines.
@@ -121,7 +123,7 @@ def build(
     destination = cache() / "bin" / f"{name}-{fingerprint(source, *decides)}"
     with locks.held(f"build-{name}", progress):
         if not destination.exists():
-            _build(name, source, targets, flags, further, destination, progress, estimate)
+            _build(name, source, targets, flags, further, destination, progress, estimate, finish)
         _forget_unused(destination, name)
     return destination
 
@@ -143,6 +145,7 @@ def _build(
     destination: Path,
     progress: Progress,
     estimate: str,
+    finish: Callable[[str, Path], None],
 ) -> None:
     go = ready_compiler(progress)
     with atomic.folder(destination) as partial, progress.step(f"building {name} with {go} ({estimate})"):
@@ -154,3 +157,4 @@ def _build(
             # variables also override -mod=mod or a vendor folder in the environment, so that go.sum decides.
             env={"CGO_ENABLED": "0", "GOFLAGS": "-mod=readonly", "GOWORK": "off", **further},
         )
+        finish(go, partial)

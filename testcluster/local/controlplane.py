@@ -167,4 +167,7 @@ def up(layout: Layout, programs: Programs, pki: Path, holder: int) -> None:
     wait_until(lambda: answers(layout), 180, f"the API server answers (its log: {layout.log}/kube-apiserver.log)")
     start(_controller_manager(layout, pki))
     start(_scheduler(pki))
+    for name, command in programs.enforcer.control_plane(layout).items():
+        if processes.find(group, *map(str, command[-2:])) is None:
+            processes.start(group, [*network.inside(holder), *command], layout.log / f"{name}.log")
     layout.api_ready.touch()

@@ -13,6 +13,9 @@ from testcluster.paths import cache, mark
 from testcluster.shell import run
 
 DEFAULT_NAME = "understudy"
+OWN = "own"
+"""The enforcer of network policies that this provider brings itself."""
+
 # 198.18.0.0/15 is reserved for tests of network devices (RFC 2544, RFC 6890), so homes, companies and clouds do not use
 # it.
 POOL = ipaddress.ip_network("198.18.0.0/15")
@@ -34,6 +37,7 @@ class Layout:
         slot: a number that is unique on this machine.
         network: all of its addresses.
         cgroup: name of the control group of all of its processes.
+        enforcer: name of what enforces its network policies (programs.ENFORCERS).
     """
 
     name: str
@@ -41,6 +45,7 @@ class Layout:
     network: ipaddress.IPv4Network
     node_count: int
     cgroup: str
+    enforcer: str
 
     def _subnet(self, index: int, prefix: int = 24) -> ipaddress.IPv4Network:
         return ipaddress.IPv4Network((int(self.network.network_address) + (index << 8), prefix))
@@ -132,6 +137,7 @@ class Layout:
             "network": str(self.network),
             "nodes": self.node_count,
             "cgroup": self.cgroup,
+            "enforcer": self.enforcer,
         }
         atomic.write(self.state / "layout.json", json.dumps(decided) + "\n")
 
@@ -170,8 +176,8 @@ def load(name: str) -> Layout | None:
         kept = json.loads((folder(name) / "layout.json").read_text())
     except FileNotFoundError:
         return None
-    group = kept.get("cgroup", f"understudy-{name}")
-    return Layout(name, int(kept["slot"]), ipaddress.IPv4Network(kept["network"]), int(kept["nodes"]), group)
+    group, enforcer = kept.get("cgroup", f"understudy-{name}"), kept.get("enforcer", OWN)
+    return Layout(name, int(kept["slot"]), ipaddress.IPv4Network(kept["network"]), int(kept["nodes"]), group, enforcer)
 
 
 def names() -> list[str]:
@@ -195,11 +201,13 @@ def _free_network(taken: Iterable[ipaddress.IPv4Network]) -> ipaddress.IPv4Netwo
     for candidate in POOL.subnets(new_prefix=PREFIX):
         if not any(candidate.overlaps(other) for other in taken):
             return ipaddress.IPv4Network(candidate)
-    raise BadSetting(f"no /{PREFIX} of {POOL} is free on this machine; name another one in UNDERSTUDY_CLUSTER_NETWORK")
+    raise BadSetting(
+        f"no /{PREFIX} of {POOL} is free on this machine; name another one in UNDERSTUDY_CLUSTER_ADDRESSES"
+    )
 
 
-def decide(name: str) -> Layout:
-    """Decide the layout of a new cluster: a free slot and network, or the network of UNDERSTUDY_CLUSTER_NETWORK.
+def decide(name: str, enforcer: str = OWN) -> Layout:
+    """Decide the layout of a new cluster: a free slot and network, or the network of UNDERSTUDY_CLUSTER_ADDRESSES.
 
     Raises:
         BadSetting: a setting is malformed or its addresses are in use.
@@ -208,24 +216,24 @@ def decide(name: str) -> Layout:
     used = {other.host_link for other in others} | {link["ifname"] for link in json.loads(run("ip", "-j", "link"))}
     slot = next(number for number in itertools.count() if _host_link(number) not in used)
     taken = [other.network for other in others] + _routed()
-    wanted = os.environ.get("UNDERSTUDY_CLUSTER_NETWORK")
+    wanted = os.environ.get("UNDERSTUDY_CLUSTER_ADDRESSES")
     if wanted:
         try:
             network = ipaddress.IPv4Network(wanted)
         except ValueError as error:
             raise BadSetting(
-                f"UNDERSTUDY_CLUSTER_NETWORK={wanted}: {error}; an IPv4 network such as 198.18.0.0/{PREFIX} is needed"
+                f"UNDERSTUDY_CLUSTER_ADDRESSES={wanted}: {error}; an IPv4 network such as 198.18.0.0/{PREFIX} is needed"
             ) from None
         if network.prefixlen != PREFIX:
-            raise BadSetting(f"UNDERSTUDY_CLUSTER_NETWORK={wanted}: a /{PREFIX} is needed")
+            raise BadSetting(f"UNDERSTUDY_CLUSTER_ADDRESSES={wanted}: a /{PREFIX} is needed")
         clash = [str(other) for other in taken if network.overlaps(other)]
         if clash:
             raise BadSetting(
-                f"UNDERSTUDY_CLUSTER_NETWORK={wanted}: this machine already reaches {', '.join(clash)} in it"
+                f"UNDERSTUDY_CLUSTER_ADDRESSES={wanted}: this machine already reaches {', '.join(clash)} in it"
             )
     else:
         network = _free_network(taken)
     asked = os.environ.get("UNDERSTUDY_CLUSTER_NODES", "3")
     if not asked.isdigit() or not 0 <= int(asked) <= MAX_NODES:
         raise BadSetting(f"UNDERSTUDY_CLUSTER_NODES={asked}: a number from 0 to {MAX_NODES} is needed")
-    return Layout(name, slot, network, int(asked), f"understudy-{name}-{mark()}")
+    return Layout(name, slot, network, int(asked), f"understudy-{name}-{mark()}", enforcer)

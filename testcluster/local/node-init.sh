@@ -2,9 +2,9 @@
 # The first process of a node. It has its own network, mount, host name and process-id namespaces, makes the mounts of a separate
 # machine, and starts the node's programs. If it is killed, the kernel kills every process of the node, like a loss of power.
 #
-# usage: node-init.sh NODE STATE CACHE API_READY HYPERKUBE NETPOL_KUBECONFIG NETPOL_PROCESSORS
+# usage: node-init.sh NODE STATE CACHE API_READY HYPERKUBE ENFORCERS_PROCESSORS
 set -u
-node=$1 state=$2 cache=$3 api_ready=$4 hyperkube=$5 netpol_kubeconfig=$6 netpol_processors=$7
+node=$1 state=$2 cache=$3 api_ready=$4 hyperkube=$5 enforcers_processors=$6
 log=$state/log
 
 # Sockets, pod logs and plugin folders have fixed paths, so each node needs its own /run, /var/log and /var/lib. The machine's own mounts
@@ -22,6 +22,7 @@ if [ ! -d "$state" ]; then
 fi
 mount -t tmpfs -o mode=755 node /var/log
 mkdir -p /var/log/pods /var/log/containers /var/lib/cni /var/lib/kubelet
+[ ! -e "$state/etc/prepare-enforcer.sh" ] || . "$state/etc/prepare-enforcer.sh"
 mount --bind "$state/kubelet" /var/lib/kubelet
 hostname "$node"
 mount --bind "$state/etc/hosts" /etc/hosts
@@ -47,10 +48,8 @@ until [ -e "$api_ready" ] && [ -e /sys/class/net/eth0 ]; do sleep 0.1; done
 keep kubelet "$hyperkube" kubelet --config="$state/etc/kubelet.yaml" --kubeconfig="$state/etc/kubelet.conf" \
     --hostname-override="$node" --node-ip="$(<"$state/etc/ip")"
 keep kube-proxy "$hyperkube" kube-proxy --config="$state/etc/kube-proxy.yaml"
-# The program is a link, which is replaced when the enforcer is built again, so that a running node gets the new build.
 # If the machine has a cgroup for that, the enforcer's share of the processors is separate from this node's.
-keep netpol bash -c '[ -z "$0" ] || echo $$ >"$0/cgroup.procs"; exec "$@"' "$netpol_processors" \
-    "$state/etc/understudy-netpol" --kubeconfig "$netpol_kubeconfig" --node "$node"
+keep enforcer bash -c '[ -z "$0" ] || echo $$ >"$0/cgroup.procs"; exec "$@"' "$enforcers_processors" "$state/etc/enforcer.sh"
 
 trap 'exit 0' TERM
 # Orphans become children of this process, which must wait for them, or they would stay as zombies.

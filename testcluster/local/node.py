@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import shlex
 import shutil
 import signal
 from functools import partial
@@ -10,6 +11,7 @@ from pathlib import Path
 
 from testcluster import atomic
 from testcluster.local import cgroups, golden, network, processes
+from testcluster.local.enforcer import Enforcer
 from testcluster.local.layout import Layout, node_name
 from testcluster.local.programs import Programs
 from testcluster.modes import NetworkModes
@@ -62,7 +64,7 @@ def _reserved_memory(nodes: int) -> int:
     raise RuntimeError("/proc/meminfo has no line MemTotal")
 
 
-def _containerd(layout: Layout, node: int) -> str:
+def _containerd(layout: Layout, node: int, plugins: str) -> str:
     state = layout.node_state(node)
     return f"""version = 2
 root = "{_container_store(layout, node)}"
@@ -74,33 +76,12 @@ state = "/run/containerd"
   # Without the right to lower the score of an out-of-memory kill, containers would not start at all.
   restrict_oom_score_adj = true
   [plugins."io.containerd.grpc.v1.cri".cni]
-    bin_dir = "/usr/lib/cni"
+    bin_dir = "{plugins}"
     conf_dir = "{state}/etc/cni"
   [plugins."io.containerd.grpc.v1.cri".containerd]
     snapshotter = "overlayfs"
     [plugins."io.containerd.grpc.v1.cri".containerd.runtimes.runc]
       runtime_type = "io.containerd.runc.v2"
-"""
-
-
-def _cni(layout: Layout, node: int) -> str:
-    return f"""{{
-  "cniVersion": "1.0.0",
-  "name": "pods",
-  "plugins": [
-    {{
-      "type": "ptp",
-      "ipMasq": false,
-      "ipam": {{
-        "type": "host-local",
-        "ranges": [[{{"subnet": "{layout.pod_network(node)}"}}]],
-        "routes": [{{"dst": "0.0.0.0/0"}}],
-        "dataDir": "/run/cni-addresses"
-      }}
-    }},
-    {{"type": "portmap", "capabilities": {{"portMappings": true}}}}
-  ]
-}}
 """
 
 
@@ -146,7 +127,7 @@ conntrack: {{maxPerCore: 0, min: 0}}
 """
 
 
-def _configure(layout: Layout, node: int) -> None:
+def _configure(layout: Layout, node: int, enforcer: Enforcer) -> None:
     state = layout.node_state(node)
     etc = state / "etc"
     (etc / "cni").mkdir(parents=True, exist_ok=True)
@@ -157,22 +138,18 @@ def _configure(layout: Layout, node: int) -> None:
     # For pods that use the node's resolver. It is empty, because nothing outside the cluster can be reached.
     (etc / "resolv.conf").write_text("nameserver 127.0.0.1\n")
     (etc / "ip").write_text(layout.node_ip(node))
-    (etc / "containerd.toml").write_text(_containerd(layout, node))
-    (etc / "cni" / "10-pods.conflist").write_text(_cni(layout, node))
+    (etc / "containerd.toml").write_text(_containerd(layout, node, enforcer.plugins))
+    enforcer.exchange(layout, node)
+    enforcer.configure(layout, node)
+    command = shlex.join(str(word) for word in enforcer.command(layout, node))
+    atomic.write(etc / "enforcer.sh", f"#!/bin/sh\nexec {command}\n", 0o755)
     (etc / "kubelet.yaml").write_text(_kubelet(layout, node))
     (etc / "kube-proxy.yaml").write_text(_kube_proxy(layout, node))
     shutil.copy2(layout.state / "pki" / f"{node_name(node)}.conf", etc / "kubelet.conf")
     # A copy, because the shell reads a script while it runs, and somebody may edit the original meanwhile.
     shutil.copy2(_INIT, etc / "init.sh")
-
-
-def _exchange_netpol(layout: Layout, node: int, programs: Programs) -> bool:
-    """Give a node the current enforcer of network policies, and return whether it had another one."""
-    link = layout.node_state(node) / "etc" / "understudy-netpol"
-    if link.is_symlink() and link.readlink() == programs.netpol:
-        return False
-    atomic.link(link, programs.netpol)
-    return True
+    if enforcer.prepare is not None:
+        shutil.copy2(enforcer.prepare, etc / "prepare-enforcer.sh")
 
 
 def renew(layout: Layout, node: int, programs: Programs) -> bool:
@@ -181,9 +158,9 @@ def renew(layout: Layout, node: int, programs: Programs) -> bool:
     When the enforcer of network policies ends, the node's first process starts it again. Its rules stay in force
     meanwhile.
     """
-    if not _exchange_netpol(layout, node, programs):
+    if not programs.enforcer.exchange(layout, node):
         return False
-    pid = processes.find(f"{group(layout, node)}/system", "--kubeconfig", str(layout.state / "pki" / "netpol.conf"))
+    pid = processes.find(f"{group(layout, node)}/system", *programs.enforcer.words(layout, node))
     if pid is not None:
         run("kill", "-TERM", str(pid), check=False)
     return True
@@ -205,8 +182,7 @@ def up(layout: Layout, node: int, programs: Programs) -> bool:
     if running is None:
         down(layout, node)
         start_runtime(layout, node)
-        _configure(layout, node)
-        _exchange_netpol(layout, node, programs)
+        _configure(layout, node, programs.enforcer)
         golden.clone(programs, _container_store(layout, node))
         for part in ("system", "pods"):
             cgroups.create(f"{group(layout, node)}/{part}")
@@ -228,7 +204,6 @@ def up(layout: Layout, node: int, programs: Programs) -> bool:
                 cache(),
                 layout.api_ready,
                 programs.hyperkube,
-                layout.state / "pki" / "netpol.conf",
                 cgroups.processors(enforcers) or "",
             ],
             layout.node_state(node) / "log" / "init.log",

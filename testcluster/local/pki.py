@@ -1,6 +1,7 @@
 """Keys, certificates and kubeconfigs of a cluster. They are made once per cluster and removed with it."""
 
 import base64
+from collections.abc import Mapping
 from pathlib import Path
 
 from testcluster import atomic
@@ -17,7 +18,6 @@ _CLIENTS = {
     "controller-manager": "/CN=system:kube-controller-manager",
     "scheduler": "/CN=system:kube-scheduler",
     "proxy": "/CN=system:kube-proxy",
-    "netpol": "/CN=understudy:netpol",
 }
 
 
@@ -70,17 +70,20 @@ current-context: {cluster}
 """)
 
 
-def create(layout: Layout) -> Path:
-    """Make all keys, certificates and kubeconfigs unless they exist, and return their folder."""
+def create(layout: Layout, further: Mapping[str, str]) -> Path:
+    """Make all keys, certificates and kubeconfigs unless they exist, and return their folder.
+
+    ``further`` are the subjects of further clients, by name.
+    """
     final = layout.state / "pki"
     if final.exists():
         return final
     with atomic.folder(final) as folder:
-        _write(layout, folder)
+        _write(layout, folder, {**_CLIENTS, **further})
     return final
 
 
-def _write(layout: Layout, folder: Path) -> None:
+def _write(layout: Layout, folder: Path, clients: Mapping[str, str]) -> None:
     cluster = layout.name
     run(
         "openssl",
@@ -107,7 +110,7 @@ def _write(layout: Layout, folder: Path) -> None:
     addresses = ["127.0.0.1", layout.control_plane_ip, layout.kubernetes_ip]
     alternative = ",".join([f"DNS:{name}" for name in names] + [f"IP:{address}" for address in addresses])
     _certificate(folder, "apiserver", "/CN=kube-apiserver", alternative)
-    for name, subject in _CLIENTS.items():
+    for name, subject in clients.items():
         _certificate(folder, name, subject)
         _kubeconfig(folder, name, cluster, layout.api)
     for node in layout.nodes:

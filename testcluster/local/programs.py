@@ -2,11 +2,15 @@
 
 import re
 import shlex
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from testcluster import atomic, golang, packages
+from testcluster.local.cilium_enforcer import Cilium
+from testcluster.local.enforcer import Enforcer
 from testcluster.local.layout import POOL
+from testcluster.local.own_enforcer import OwnEnforcer
 from testcluster.paths import cache
 from testcluster.progress import Progress
 
@@ -36,7 +40,7 @@ class Programs:
     pause: Path
     coredns: Path
     helm: Path
-    netpol: Path
+    enforcer: Enforcer
 
 
 def _required(module: str) -> str:
@@ -86,8 +90,15 @@ def tools_folder() -> Path:
     return cache() / "tools"
 
 
-def ensure(progress: Progress) -> Programs:
-    """Install and build the programs that are missing.
+ENFORCERS: Mapping[str, Callable[[Progress], Enforcer]] = {
+    OwnEnforcer.name: OwnEnforcer.ensure,
+    Cilium.name: Cilium.ensure,
+}
+"""What can enforce network policies, by name: functions that build it."""
+
+
+def ensure(progress: Progress, enforcer: str) -> Programs:
+    """Install and build the programs that are missing. ``enforcer`` is a key of :data:`ENFORCERS`.
 
     Raises:
         CommandFailed, MissingPrograms: a package could not be installed or a program could not be built.
@@ -101,9 +112,6 @@ def ensure(progress: Progress) -> Programs:
         progress,
         "Kubernetes, etcd, CoreDNS, kubectl and Helm; 5 to 8 minutes on 2 cores, once",
     )
-    netpol = (
-        golang.build("netpol", _HERE / "netpol", ["."], ["-ldflags=-s -w"], progress, "a minute, once")
-        / "understudy-netpol"
-    )
+    enforces = ENFORCERS[enforcer](progress)
     _link_tools(built / "hyperkube", built / "helm")
-    return Programs(built / "hyperkube", built / "pause", built / "coredns", built / "helm", netpol)
+    return Programs(built / "hyperkube", built / "pause", built / "coredns", built / "helm", enforces)

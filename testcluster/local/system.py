@@ -3,6 +3,7 @@
 import json
 import string
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 
 from testcluster.local import controlplane, dns, golden
@@ -30,6 +31,7 @@ def apply(layout: Layout, programs: Programs) -> None:
         return True
 
     wait_until(applied, 60, "the cluster's own objects are there", interval=0.5, despite=CommandFailed)
+    programs.enforcer.complete(layout, partial(controlplane.kubectl, layout, programs))
 
 
 def ready_nodes(layout: Layout, programs: Programs) -> set[str]:

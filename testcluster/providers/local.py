@@ -20,7 +20,7 @@ from testcluster.local.layout import Layout, node_name, node_number
 from testcluster.modes import NetworkModes
 from testcluster.paths import cache
 from testcluster.progress import Progress
-from testcluster.providers.base import ClusterError, Provider, Status
+from testcluster.providers.base import ClusterError, NotSupported, Provider, Status
 from testcluster.shell import CommandFailed
 
 _OWN_IMAGES = "localhost/understudy-"
@@ -32,8 +32,9 @@ class LocalProvider(Provider):
     name = "local"
     engine = "buildah"
 
-    def __init__(self, cluster: str | None, progress: Progress) -> None:
-        self._cluster = cluster or layouts.DEFAULT_NAME
+    def __init__(self, cluster: str | None, progress: Progress, network: str | None = None) -> None:
+        """``network`` is what enforces network policies in a new cluster (programs.ENFORCERS)."""
+        self._cluster, self._network = cluster or layouts.DEFAULT_NAME, network
         if not self._cluster.replace("-", "").isalnum() or len(self._cluster) > 30:
             raise ClusterError(f"cluster name {self._cluster!r}: letters, digits and dashes, 30 at most, are needed")
         self._progress = progress
@@ -68,16 +69,21 @@ class LocalProvider(Provider):
         self._require_root()
         with self._locked():
             # Building comes first: it takes longest, and is most likely to fail because the machine lacks something.
-            programs = tools.ensure(self._progress)
             found = layouts.load(self._cluster)
+            present = found.enforcer if found is not None else layouts.OWN
+            programs = tools.ensure(self._progress, self._network or present)
             if found is not None and network.holder(found) is None and found.state.exists():
                 self._progress(f"cluster {self._cluster}: removing what is left of an earlier one")
                 self._remove(found)
                 found = None
+            if found is not None and found.enforcer != programs.enforcer.name:
+                raise ClusterError(
+                    f"cluster {self._cluster} has network {found.enforcer}; `scripts/cluster down` removes it"
+                )
             # The lock lasts until the new cluster has saved its network and slot, so that no other new cluster chooses
             # them.
             with locks.held("clusters"):
-                layout = found or layouts.decide(self._cluster)
+                layout = found or layouts.decide(self._cluster, programs.enforcer.name)
                 if found is None:
                     # The cache may have been removed under a running cluster.
                     cgroups.kill(layout.cgroup)
@@ -88,7 +94,7 @@ class LocalProvider(Provider):
 
     def _start(self, layout: Layout, programs: tools.Programs) -> None:
         self._progress(f"cluster {layout.name}: control plane at {layout.api}")
-        certificates = pki.create(layout)
+        certificates = pki.create(layout, programs.enforcer.users)
         if not all(nodes.has_images(layout, node) for node in layout.nodes):
             golden.ensure(programs, self._progress)
         holder = network.up(layout)
@@ -129,7 +135,7 @@ class LocalProvider(Provider):
         layout = layouts.load(self._cluster)
         if layout is None:
             return Status(False, f"cluster {self._cluster}: there is none")
-        programs = tools.ensure(self._progress)
+        programs = tools.ensure(self._progress, layout.enforcer)
         details = [
             f"{name}: {'runs' if runs else 'does not run'}" for name, runs in controlplane.running(layout).items()
         ]
@@ -149,7 +155,8 @@ class LocalProvider(Provider):
         whole = answers and len(ready) == layout.node_count
         details.append(f"kubeconfig: {layout.kubeconfig}")
         how = "is ready" if whole else "is not ready"
-        summary = f"cluster {layout.name}: Kubernetes {tools.kubernetes_version()} at {layout.api} {how}"
+        version = f"Kubernetes {tools.kubernetes_version()}, network {layout.enforcer},"
+        summary = f"cluster {layout.name}: {version} at {layout.api} {how}"
         return Status(whole, summary, details)
 
     def load_images(self, images: Sequence[str]) -> None:
@@ -215,7 +222,7 @@ class LocalProvider(Provider):
             nodes.start_runtime(layout, number)
             if nodes.init(layout, number) and not network.node_connected(layout, number):
                 network.set_node_link(layout, number, True)
-            nodes.up(layout, number, tools.ensure(self._progress))
+            nodes.up(layout, number, tools.ensure(self._progress, layout.enforcer))
 
     def node_freeze(self, node: str, frozen: bool) -> None:
         layout = self._layout()
@@ -232,6 +239,8 @@ class LocalProvider(Provider):
 
     def node_network(self, node: str, modes: NetworkModes) -> None:
         layout = self._layout()
+        if layout.enforcer != layouts.OWN:
+            raise NotSupported(f"network {layout.enforcer} has no modes")
         nodes.set_network_modes(layout, node_number(node, layout), modes)
 
     def api_stop(self) -> None:
@@ -244,7 +253,8 @@ class LocalProvider(Provider):
             holder = network.holder(layout)
             if holder is None:
                 raise ClusterError(f"cluster {self._cluster} does not run; `scripts/cluster up` starts it")
-            controlplane.up(layout, tools.ensure(self._progress), pki.create(layout), holder)
+            programs = tools.ensure(self._progress, layout.enforcer)
+            controlplane.up(layout, programs, pki.create(layout, programs.enforcer.users), holder)
 
     def node_link(self, node: str, connected: bool) -> None:
         layout = self._layout()

@@ -28,6 +28,12 @@ def cluster(*arguments: str) -> str:
     return done.stdout
 
 
+def has_network_modes() -> bool:
+    """Whether the cluster under test has the provider's own enforcer of network policies, which can be weakened."""
+    layout = layouts.load(os.environ.get("UNDERSTUDY_CLUSTER_NAME") or layouts.DEFAULT_NAME)
+    return layout is not None and layout.enforcer == layouts.OWN
+
+
 def api_server_process() -> int:
     """The process of the API server of the cluster under test. Raises Failed."""
     layout = layouts.load(os.environ.get("UNDERSTUDY_CLUSTER_NAME") or layouts.DEFAULT_NAME)

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.skipif(not Path("/proc/self").exists(), reason="the loc
 def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[ipaddress.IPv4Network]:
     """A machine without routes and links, and a cache of the test's own; the list is what it has routes to."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    for variable in ("UNDERSTUDY_CLUSTER_NETWORK", "UNDERSTUDY_CLUSTER_NODES"):
+    for variable in ("UNDERSTUDY_CLUSTER_ADDRESSES", "UNDERSTUDY_CLUSTER_NODES"):
         monkeypatch.delenv(variable, raising=False)
     routed: list[ipaddress.IPv4Network] = []
     monkeypatch.setattr(layout, "_routed", lambda: routed)
@@ -33,8 +33,10 @@ def made(name: str) -> Layout:
 
 def test_a_layout_is_stored_and_read_again() -> None:
     assert layout.load("one") is None
-    decided = made("one")
+    decided = layout.decide("one", "cilium")
+    decided.save()
     assert layout.load("one") == decided
+    assert decided.enforcer == "cilium"
 
 
 def test_two_clusters_share_neither_network_nor_link_nor_group() -> None:
@@ -71,9 +73,9 @@ def test_all_addresses_of_a_cluster_are_in_its_network_and_distinct(monkeypatch:
 @pytest.mark.parametrize(
     ("variable", "value", "message"),
     [
-        ("UNDERSTUDY_CLUSTER_NETWORK", "10.0.0.0/24", "a /18 is needed"),
-        ("UNDERSTUDY_CLUSTER_NETWORK", "10.1.2.3/18", "host bits"),
-        ("UNDERSTUDY_CLUSTER_NETWORK", "somewhere", "IPv4 network such as"),
+        ("UNDERSTUDY_CLUSTER_ADDRESSES", "10.0.0.0/24", "a /18 is needed"),
+        ("UNDERSTUDY_CLUSTER_ADDRESSES", "10.1.2.3/18", "host bits"),
+        ("UNDERSTUDY_CLUSTER_ADDRESSES", "somewhere", "IPv4 network such as"),
         ("UNDERSTUDY_CLUSTER_NODES", "none", "a number from 0 to"),
         ("UNDERSTUDY_CLUSTER_NODES", "-1", "a number from 0 to"),
         ("UNDERSTUDY_CLUSTER_NODES", "32", "a number from 0 to"),
@@ -92,7 +94,7 @@ def test_a_requested_network_that_is_in_use_is_refused(
     monkeypatch: pytest.MonkeyPatch, machine: list[ipaddress.IPv4Network]
 ) -> None:
     machine.append(ipaddress.IPv4Network("10.20.0.0/16"))
-    monkeypatch.setenv("UNDERSTUDY_CLUSTER_NETWORK", "10.20.64.0/18")
+    monkeypatch.setenv("UNDERSTUDY_CLUSTER_ADDRESSES", "10.20.64.0/18")
     with pytest.raises(BadSetting, match=r"already reaches 10\.20\.0\.0/16"):
         layout.decide("one")
 
