@@ -163,7 +163,7 @@ def _standby(reach: Reach) -> Object:
 
 
 def _ranges(rule: Object) -> list[tuple[str, int, int]]:
-    return [(one["protocol"], one["port"], one.get("endPort", one["port"])) for one in rule["ports"]]
+    return [(one["protocol"], one.get("port", 1), one.get("endPort", one.get("port", 65535))) for one in rule["ports"]]
 
 
 @pytest.mark.parametrize("text", [".nan", "l\x9fÖ", "a b", "A", "a\n", "-a", "a" * 64, "{}"])

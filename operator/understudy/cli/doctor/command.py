@@ -19,6 +19,7 @@ from understudy.cli.common.cluster_access.kubectl_proxy import Api, Refused, pro
 from understudy.cli.common.errors import ERROR, CommandError, reports_errors
 from understudy.cli.common.text import terminal
 from understudy.cli.doctor import (
+    cilium_check,
     clock_check,
     discovery_check,
     findings,
@@ -106,6 +107,7 @@ class _Examination:
         self.found += lost
         self.found += monitor_findings(workloads)
         self.found += mux_check.check(self._api, namespace, workloads)
+        self.found += cilium_check.check(self._api, namespace, workloads)
         if not self._options.no_pods:
             failed = {finding.check for finding in lost}
             try:

@@ -22,8 +22,12 @@ def network_policy(name: str, selector: Mapping[str, Any], rules: Object) -> Obj
 
 
 def ports(protocol: str, first: int = 1, last: int = _LAST_PORT) -> Object:
-    """Return a range of ports; all of them by default."""
-    return {"protocol": protocol, "port": first, "endPort": last}
+    """Return a range of ports; all of them by default.
+
+    All of them are no range: engines that keep an entry for each peer and each block of ports, such as Cilium, need one instead of 16.
+    """
+    whole = (first, last) == (1, _LAST_PORT)
+    return {"protocol": protocol} if whole else {"protocol": protocol, "port": first, "endPort": last}
 
 
 def addresses(cidrs: Iterable[str]) -> list[Object]:
