@@ -142,7 +142,8 @@ def _settings(layout: Layout, user: str) -> dict[str, str]:
         "enable-ipv4-masquerade": "false",
         "enable-bpf-masquerade": "false",
         "kube-proxy-replacement": "false",
-        "install-iptables-rules": "false",
+        # One of them marks packets from the node, by which the probes of its kubelet are known.
+        "install-iptables-rules": "true",
         "enable-l7-proxy": "false",
         "enable-envoy-config": "false",
         "enable-hubble": "false",
