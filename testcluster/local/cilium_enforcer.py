@@ -142,7 +142,7 @@ def _settings(layout: Layout, user: str) -> dict[str, str]:
         "enable-ipv4-masquerade": "false",
         "enable-bpf-masquerade": "false",
         "kube-proxy-replacement": "false",
-        # One of them marks packets from the node, by which the probes of its kubelet are known.
+        # One of them marks packets of the node. Without it, the probes of the kubelet are denied after a while.
         "install-iptables-rules": "true",
         "enable-l7-proxy": "false",
         "enable-envoy-config": "false",

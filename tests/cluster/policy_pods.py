@@ -212,7 +212,7 @@ class World:
             return not seen
 
         try:
-            until(right, "the policies to be in force", seconds=15)
+            until(right, "the policies to be in force", seconds=75)  # Cilium reads changed labels up to 35 s late
         except AssertionError as error:
             raise AssertionError("; ".join(seen)) from error
         # Once more, so that a moment between two states cannot pass for the right one.

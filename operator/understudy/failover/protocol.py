@@ -24,7 +24,7 @@ from understudy.failover.interfaces import (
 )
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.strategies.base import Choice, StrategyContext
-from understudy.failover.strategies.steps import Outage, answered_time, is_committed
+from understudy.failover.strategies.steps import Outage, answered_time, is_committed, last_sign
 
 _logger = logging.getLogger(__name__)
 
@@ -382,7 +382,7 @@ async def alone(target: Instance, progress: Progress, context: StrategyContext) 
     silence = min(context.outputs.period_of_others(target), PERIOD_MOST) + SILENCE_MARGIN
     is_leaking, stalls = False, 0
     while True:
-        last, pod = _last_sign(target, progress, context)
+        last, pod = last_sign(target, progress, context)
         if last > fenced:
             moments["fenced"] = max(last, moments.get("fenced", last))
         if last > fenced + IN_FLIGHT and not is_leaking:
@@ -411,17 +411,6 @@ async def alone(target: Instance, progress: Progress, context: StrategyContext) 
 def _assert_admitted(uid: str, name: str, context: StrategyContext) -> None:
     if (state := context.gate.state).active_uid != uid:
         raise Superseded(f"the gate admits {state.active or 'no pod'}, not {name}")
-
-
-def _last_sign(target: Instance, progress: Progress, context: StrategyContext) -> tuple[float, str]:
-    """Return when another instance last reached the robot, by samples and by packets through the gate, and which; 0 if none did."""
-    found = [context.outputs.last_from_others(target)]
-    pods = {pod.uid: pod.name for pod in context.gate.state.pinned} | {pod.uid: pod.name for pod in progress.replaced}
-    pods |= {i.uid: i.name for i in context.instances.of_workload()}
-    pods.pop(target.uid, None)
-    found += [(packet, name) for uid, name in pods.items() if (packet := context.gate.last_packet(uid)) is not None]
-    last, pod = max(found)
-    return min(last, context.clock()), pod
 
 
 async def _end(progress: Progress, context: StrategyContext) -> None:

@@ -126,6 +126,11 @@ class Monitoring(Written):
         "waitFor is allowed only for a strategy of type Fallback: it is the time to wait for a pod of its pool",
         ".waitFor",
     ),
+    (
+        "self.type == 'Fallback' || !has(self.handover)",
+        "handover is allowed only for a strategy of type Fallback: in a Restart, the gate is closed first in any case",
+        ".handover",
+    ),
 )
 class Strategy(Model):
     """One way to recover the workload."""
@@ -146,6 +151,11 @@ class Strategy(Model):
     robot), if the pool has no ready pod. After this time the next strategy is tried. A free pod goes first to the
     RobotWorkload with the highest spec.poolPriority. Absent: the next strategy is tried immediately. See
     docs/waiting.md."""
+    handover: Literal["Switch", "BreakBeforeMake"] | None = None
+    """Only for pools with readiness Executing. Switch: one write to the gate takes the robot from one instance and gives
+    it to another, so for some milliseconds, both or none may reach the robot, because each node applies it for itself.
+    BreakBeforeMake: the gate is closed, and opened for the other instance once no packet of the former one has arrived
+    for 60 ms. Absent: Switch. A gate of kind Mux switches at once in any case. See docs/how-to/network-policies.md."""
     verify_within: Duration = "30s"
     """Maximum time from the start of the strategy until the robot receives outputs from the new instance. After this
     time the next strategy is tried. Time spent waiting for a pod (waitFor) does not count."""

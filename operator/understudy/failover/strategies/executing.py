@@ -12,6 +12,7 @@ from understudy.failover.strategies.base import Strategy, StrategyContext, Unfit
 from understudy.failover.strategies.steps import (
     bring_up_and_open,
     close,
+    close_and_see,
     committed_target,
     loop_time,
     make_drivable,
@@ -29,10 +30,19 @@ class ExecutingFallback(Strategy):
     has_own_instance = True
 
     def __init__(
-        self, pool: str, *, recovery: BringUp | None = None, others: Collection[str] = (), with_source: bool = True
+        self,
+        pool: str,
+        *,
+        recovery: BringUp | None = None,
+        others: Collection[str] = (),
+        with_source: bool = True,
+        breaks_first: bool = False,
     ) -> None:
-        """Exclude the standbys of the pools ``others``, and those of the workload's own controller unless ``with_source``."""
-        self.pool, self.recovery = pool, recovery
+        """Exclude the standbys of the pools ``others``, and those of the workload's own controller unless ``with_source``.
+
+        With ``breaks_first``, no packet of the former instance passes the gate any more when it is opened for the standby.
+        """
+        self.pool, self.recovery, self.breaks_first = pool, recovery, breaks_first
         self._others, self.with_source = frozenset(others), with_source
 
     def _is_standby(self, instance: Instance) -> bool:
@@ -79,6 +89,8 @@ class ExecutingFallback(Strategy):
             # Readers with exclusive ownership may follow the admitted standby already. Otherwise a pod of the pool comes first:
             # the workload's own controller may be about to replace its pod.
             target = self._best(candidates, progress, context, context.gate.state.admitted_uid)
+            if self.breaks_first:
+                await close_and_see(target, progress, context, within=within)
             await open_for(target, progress, context)
         await wait_enforced(target, progress, context)
         return target

@@ -53,6 +53,14 @@ class Fallback:
     waiting: tuple[str, ...]
     """The pools of the policy whose standbys run for this robot already, in order."""
 
+    is_at_robot: bool = False
+    """As ``Gate.is_at_robot``: the gate gives the robot from one instance to another at once."""
+
+    @property
+    def breaks_first(self) -> bool:
+        """Whether the former instance must be off the robot before another one gets it."""
+        return self.spec.handover == "BreakBeforeMake" and not self.is_at_robot
+
     @property
     def others(self) -> list[str]:
         """The other pools in ``waiting``. Their standbys do not belong to this pool."""
@@ -79,7 +87,11 @@ def _initialized(fallback: Fallback) -> Strategy:
 def _executing(fallback: Fallback) -> Strategy:
     # It runs in full already: only the procedure that the strategy names is run on it.
     return ExecutingFallback(
-        fallback.pool.name, recovery=fallback.own, others=fallback.others, with_source=fallback.with_source
+        fallback.pool.name,
+        recovery=fallback.own,
+        others=fallback.others,
+        with_source=fallback.with_source,
+        breaks_first=fallback.breaks_first,
     )
 
 
@@ -107,6 +119,7 @@ def choices(policy: FailurePolicySpec, settings: WorkloadSettings, workload: Rob
             if (pool := pools.get(name)) is None:
                 strategy = UnknownPool(name)
             else:
-                strategy = FALLBACKS[pool.readiness](Fallback(spec, pool, own, own or usual, waiting))
+                is_at_robot = workload is not None and workload.gate.is_at_robot
+                strategy = FALLBACKS[pool.readiness](Fallback(spec, pool, own, own or usual, waiting, is_at_robot))
         found.append(Choice(strategy, seconds(spec.verify_within)))
     return found

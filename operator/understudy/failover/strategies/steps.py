@@ -27,6 +27,10 @@ ANSWER = 1.0
 """Seconds before the end of a strategy's time at which its procedure ends at the latest, so that it can report the leaf that failed; if
 the time is short, no more than a quarter of it."""
 
+CLOSED_FOR = 0.06
+"""Seconds without a packet of any other instance after which the gate counts as closed for them. An agent sends one every 10 ms at
+least, and packets are read every 20 ms (kube/gates/probes.py)."""
+
 PROBE_SECONDS = 2.0
 """Seconds for which probes are sent around a commit."""
 
@@ -98,6 +102,39 @@ async def close(progress: Progress, context: StrategyContext) -> None:
     if not _is_closed(progress, context):
         await context.gate.commit(None, progress)
     progress.moments.setdefault("fenced", context.clock())
+
+
+async def close_and_see(target: Instance, progress: Progress, context: StrategyContext, *, within: float) -> None:
+    """Close the gate, and wait until no packet of another instance than the target passes it.
+
+    Packets show that a gate is open, and only their absence that it is closed. So the agents of the former instances send one every few
+    milliseconds. A former instance without a working agent may not be heard. Raises NotVerified.
+    """
+    end, state = loop_time() + max(MOMENT, within - MOMENT), context.gate.state
+    for instance in context.instances.of_workload():
+        if instance.uid in (state.active_uid, state.admitted_uid):
+            await context.agents.probe(instance, PROBE_SECONDS)
+    await close(progress, context)
+    closed = context.clock()
+    while True:
+        last, pod = last_sign(target, progress, context)
+        if (left := max(closed, last) + CLOSED_FOR - context.clock()) <= 0:
+            break
+        if loop_time() >= end:
+            raise NotVerified(f"{pod} still reaches the robot, although the gate is closed (handover: BreakBeforeMake)")
+        await asyncio.sleep(min(left, CLOSED_FOR / 4))
+    progress.moments["seen_closed"] = context.clock()
+
+
+def last_sign(target: Instance, progress: Progress, context: StrategyContext) -> tuple[float, str]:
+    """Return when another instance last reached the robot, by samples and by packets through the gate, and which; 0 if none did."""
+    found = [context.outputs.last_from_others(target)]
+    pods = {pod.uid: pod.name for pod in context.gate.state.pinned} | {pod.uid: pod.name for pod in progress.replaced}
+    pods |= {i.uid: i.name for i in context.instances.of_workload()}
+    pods.pop(target.uid, None)
+    found += [(packet, name) for uid, name in pods.items() if (packet := context.gate.last_packet(uid)) is not None]
+    last, pod = max(found)
+    return min(last, context.clock()), pod
 
 
 def _is_closed(progress: Progress, context: StrategyContext) -> bool:
