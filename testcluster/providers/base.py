@@ -67,38 +67,41 @@ class Provider(ABC):
             ClusterError: there is no cluster.
         """
 
+    def _not_supported(self, operation: str) -> NotSupported:
+        return NotSupported(f"provider {self.name} cannot {operation}; provider local can")
+
     def nodes(self) -> Sequence[str]:
         """Return the names of nodes that can have the faults below."""
-        raise NotSupported(f"provider {self.name} cannot do faults to nodes")
+        raise self._not_supported("cause faults of nodes")
 
     def node_down(self, node: str) -> None:
         """Cut a node's power: everything on it ends at once."""
-        raise NotSupported(f"provider {self.name} cannot cut a node's power")
+        raise self._not_supported("cut a node's power")
 
     def node_up(self, node: str) -> None:
         """Switch a node on again; it becomes Ready later. This also ends a freeze and a disconnection."""
-        raise NotSupported(f"provider {self.name} cannot switch a node on")
+        raise self._not_supported("switch a node on")
 
     def node_freeze(self, node: str, frozen: bool) -> None:
         """Freeze every process of a node, or let them continue."""
-        raise NotSupported(f"provider {self.name} cannot freeze a node")
+        raise self._not_supported("freeze a node")
 
     def node_runtime(self, node: str, running: bool) -> None:
         """Stop a node's kubelet and container runtime, or start them again. Its containers continue meanwhile."""
-        raise NotSupported(f"provider {self.name} cannot stop a node's kubelet and container runtime")
+        raise self._not_supported("stop a node's kubelet and container runtime")
 
     def node_network(self, node: str, modes: NetworkModes) -> None:
         """Give a node's network these modes and no others. They are in force when this returns."""
-        raise NotSupported(f"provider {self.name} has no modes of a node's network")
+        raise self._not_supported("weaken a node's network")
 
     def api_stop(self) -> None:
         """End the API server at once; everything else continues without it."""
-        raise NotSupported(f"provider {self.name} cannot stop the API server")
+        raise self._not_supported("stop the API server")
 
     def api_start(self) -> None:
         """Start the API server again, and wait until it answers."""
-        raise NotSupported(f"provider {self.name} cannot start the API server")
+        raise self._not_supported("start the API server")
 
     def node_link(self, node: str, connected: bool) -> None:
         """Disconnect a node from the network, or connect it again. Its pods continue."""
-        raise NotSupported(f"provider {self.name} cannot cut a node off")
+        raise self._not_supported("cut a node off")
