@@ -48,7 +48,7 @@ class CurrentProvider(Provider):
             for item in listed
             if any(
                 condition["type"] == "Ready" and condition["status"] == "True"
-                for condition in item["status"]["conditions"]
+                for condition in item["status"].get("conditions", [])  # a new node has none yet
             )
         ]
         return Status(bool(ready), f"the cluster of {self.kubeconfig()}: {len(ready)} of {len(listed)} nodes are ready")
@@ -70,7 +70,10 @@ class CurrentProvider(Provider):
             self._progress(f"{image}: loaded")
 
     def kubeconfig(self) -> Path:
-        for named in [*os.environ.get("KUBECONFIG", "").split(":"), os.path.expanduser("~/.kube/config")]:
-            if named and Path(named).is_file():
-                return Path(named)
-        raise ClusterError("provider current: there is no kubeconfig; name one in KUBECONFIG")
+        # As kubectl does it: the file of the home is for a variable that is not set, and not for one that names no file.
+        named = os.environ.get("KUBECONFIG")
+        for path in named.split(":") if named else [os.path.expanduser("~/.kube/config")]:
+            if path and Path(path).is_file():
+                return Path(path)
+        lacks = f"KUBECONFIG={named} names no file that exists" if named else "there is no kubeconfig"
+        raise ClusterError(f"provider current: {lacks}; name one in KUBECONFIG")
