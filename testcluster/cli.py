@@ -13,6 +13,8 @@ from testcluster.providers.current import CurrentProvider
 from testcluster.providers.kind import KindProvider
 from testcluster.providers.local import LocalProvider
 
+PROVIDERS = ("kind", "local", "current")
+
 _FAULTS: dict[str, tuple[str, Callable[[Provider, str], None]]] = {
     "down": ("cut its power", lambda provider, node: provider.node_down(node)),
     "up": ("switch it on again, thaw it, put its cable back", lambda provider, node: provider.node_up(node)),
@@ -40,7 +42,7 @@ def select(name: str | None, cluster: str | None, progress: Progress, network: s
     ``network`` is what enforces network policies in a new cluster of the local provider, which can have several.
 
     Raises:
-        ClusterError: no provider can be used here; the message says what each lacks.
+        ClusterError: there is no provider of this name, or none can be used here; the message says what each lacks.
     """
     if name is None:
         obstacles = {"kind": KindProvider.obstacle(), "local": LocalProvider.obstacle()}
@@ -51,6 +53,8 @@ def select(name: str | None, cluster: str | None, progress: Progress, network: s
                 f"no cluster can be made on this machine ({lacks}); "
                 "--provider current uses the one that kubectl is pointed at"
             )
+    if name not in PROVIDERS:
+        raise ClusterError(f"provider {name!r}: {', '.join(PROVIDERS[:-1])} or {PROVIDERS[-1]} is needed")
     if network and network not in ENFORCERS:
         raise ClusterError(f"network {network!r}: {' or '.join(ENFORCERS)} is needed")
     if name == "local":
@@ -64,7 +68,7 @@ def add_selection(parser: argparse.ArgumentParser) -> None:
     """Add the options that select the cluster."""
     parser.add_argument(
         "--provider",
-        choices=["kind", "local", "current"],
+        choices=PROVIDERS,
         default=os.environ.get("UNDERSTUDY_CLUSTER_PROVIDER") or None,
         help="kind: in Docker; local: from source on this machine, as root; current: the one that KUBECONFIG names "
         "(default: UNDERSTUDY_CLUSTER_PROVIDER, or kind if Docker and kind work, else local)",

@@ -24,6 +24,16 @@ def test_a_network_that_a_provider_does_not_have_is_refused(provider: str, netwo
         cli.select(provider, None, Progress(), network)
 
 
+@pytest.mark.parametrize("name", ["knd", "Kind"])
+def test_a_provider_that_does_not_exist_is_not_taken_for_the_current_cluster(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    # argparse does not check a default, and this is one.
+    monkeypatch.setenv("UNDERSTUDY_CLUSTER_PROVIDER", name)
+    assert cli.main(["down"]) == 1
+    assert f"provider {name!r}: kind, local or current is needed" in capsys.readouterr().err
+
+
 @pytest.fixture
 def one(monkeypatch: pytest.MonkeyPatch, tmp_path: object) -> Layout:
     """A cluster with one node that was never started."""
