@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+import time
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -18,6 +19,11 @@ Object = dict[str, Any]
 
 TIMEOUT = 60.0
 """Seconds for one command."""
+
+READ_WITHIN = 90.0
+"""Seconds within which a network has read a label. Cilium needs up to 35 s by default."""
+
+_OF_NAMESPACE = "k8s:io.cilium.k8s.namespace.labels."
 
 KILLED = 128 + 9
 """What a command exits with that was ended by SIGKILL."""
@@ -138,6 +144,32 @@ class Kubectl:
             about = {"apiVersion": listed["apiVersion"], "kind": listed["kind"].removesuffix("List")}
             found += [about | item for item in listed["items"]]
         return found
+
+    def label_namespace(self, *labels: str) -> None:
+        """Label the namespace (``key=value``, ``key-``), and wait until the network has read that. Raises Failed.
+
+        Cilium makes identities of these labels too. A pod that waits for its identity gets no change of a policy, for up to 35 s.
+        """
+        self("label", "--overwrite", "namespace", self.namespace, *labels)
+        end = time.monotonic() + READ_WITHIN
+        while not self._network_follows(labels):
+            if time.monotonic() > end:
+                raise Failed(f"the network has not read {', '.join(labels)} within {READ_WITHIN:g} s")
+            time.sleep(0.5)
+
+    def _network_follows(self, labels: Sequence[str]) -> bool:
+        try:
+            endpoints = self.list("ciliumendpoints")
+        except Failed:  # it is another network
+            return True
+        for status in (one.get("status") or {} for one in endpoints):
+            found = {label.removeprefix(_OF_NAMESPACE) for label in (status.get("identity") or {}).get("labels") or []}
+            present = {label.partition("=")[0] for label in found}
+            if status.get("state") != "ready" or any(
+                label.removesuffix("-") in present if label.endswith("-") else label not in found for label in labels
+            ):
+                return False
+        return True
 
     def patch(self, kind: str, name: str, body: Any, *, kind_of_patch: str = "merge") -> None:
         """Patch an object."""

@@ -29,7 +29,7 @@ ALLOWED, STANDARD = "understudy.dev/allow-inject", "pod-security.kubernetes.io/e
 def forbidden_again(executing: Robot) -> Iterator[None]:
     """What a test allows in the robot's namespace isn't allowed to the next one."""
     yield
-    executing.kubectl("label", "namespace", executing.kubectl.namespace, f"{ALLOWED}-", f"{STANDARD}-")
+    executing.kubectl.label_namespace(f"{ALLOWED}-", f"{STANDARD}-")
 
 
 def rate(robot: Robot, pod: str, begin: float) -> float:
@@ -53,12 +53,11 @@ def test_failures_are_injected_only_in_a_namespace_that_allows_them(executing: R
     assert refused.returncode == 2
     assert f"kubectl label namespace {kubectl.namespace} {ALLOWED}=true" in refused.stderr
     assert executing.has_pod(active)
-    kubectl("label", "namespace", kubectl.namespace, f"{ALLOWED}=true")
-    kubectl("label", "namespace", kubectl.namespace, f"{STANDARD}=baseline")
+    kubectl.label_namespace(f"{ALLOWED}=true", f"{STANDARD}=baseline")
     refused = understudy(kubectl, "inject", name, "partition", "--yes")
     assert refused.returncode == 2
     assert f"kubectl label --overwrite namespace {kubectl.namespace} {STANDARD}=privileged" in refused.stderr
-    kubectl("label", "--overwrite", "namespace", kubectl.namespace, f"{STANDARD}=privileged")
+    kubectl.label_namespace(f"{STANDARD}=privileged")
 
     # While it is left alone, what undoes a fault is seen.
     assert understudy(kubectl, "pause", name, "--reason", "a rehearsal").returncode == 0
@@ -88,7 +87,7 @@ def test_failures_are_injected_only_in_a_namespace_that_allows_them(executing: R
 
 def test_a_pod_that_is_cut_off_is_replaced_and_never_drives_beside_its_successor(executing: Robot) -> None:
     kubectl, name = executing.kubectl, executing.workload
-    kubectl("label", "namespace", kubectl.namespace, f"{ALLOWED}=true")
+    kubectl.label_namespace(f"{ALLOWED}=true")
     active = executing.wait_protected()
 
     # From everything; then from the monitor alone, which hears nothing of it while it drives on until the gate is closed to it.
@@ -112,7 +111,7 @@ def test_the_script_for_ci_ends_well_after_a_failure_that_was_recovered(executin
     kubectl, page = executing.kubectl, (REPOSITORY / "docs/how-to/rehearsing-failures.md").read_text()
     (script,) = re.findall(r"```sh\n(set -eu\n.*?)```", page, re.DOTALL)
     executing.wait_standby()
-    kubectl("label", "namespace", kubectl.namespace, f"{ALLOWED}=true")
+    kubectl.label_namespace(f"{ALLOWED}=true")
 
     environment = shell_environment(kubectl.kubeconfig, tmp_path, namespace=kubectl.namespace)
     done = subprocess.run(
