@@ -21,7 +21,7 @@ from statistics import median
 
 from understudy_demo.recovery import PARTS
 
-from bench.results import Report
+from bench.results import Report, of_network
 from tests.e2e.conftest import install
 from tests.e2e.kubectl import Kubectl
 from tests.e2e.scenario import Robot, manifest
@@ -60,7 +60,7 @@ def main() -> int:
     kubeconfig = Path(os.environ["KUBECONFIG"])
     install(kubeconfig)
     chosen = [] if options.strategies == list(EXPECTED) else options.strategies
-    report = Report("-".join(["recovery", *chosen]))
+    report = Report(of_network("-".join(["recovery", *chosen]), cluster := enforcer()))
     clusters: dict[str, list[float]] = {}
     for strategy in options.strategies:
         clusters[strategy] = _strategy(report, kubeconfig, strategy, options.failures, options.how)
@@ -71,7 +71,7 @@ def main() -> int:
         "paper", "TurtleBot 4 and Nav2: t_detection 500 ms; t_cluster 2.9 s (restart) and 0.1 s (patch), 32 times"
     )
     report.note("failure", f"application {options.how}, timeout {TIMEOUT:g} s, command period {PERIOD * 1000:g} ms")
-    report.note("network policies", enforcer())
+    report.note("network policies", cluster)
     print(report.table())
     print(report.write())
     return 0 if report.held else 1

@@ -22,7 +22,7 @@ from pathlib import Path
 
 from understudy_demo.recovery import Recovered
 
-from bench.results import Report
+from bench.results import Report, of_network
 from tests.e2e.conftest import install
 from tests.e2e.faults import ApiServer, cluster, signal_processes, staying
 from tests.e2e.kubectl import Failed, Kubectl, Object
@@ -206,7 +206,7 @@ class Bench:
 
     def report(self) -> Report:
         """Return the report."""
-        report = Report("reflex")
+        report = Report(of_network("reflex", self._cluster))
         most = (self._deadline + PERIOD + SLACK) * 1000
         for name, values in sorted(self._values.items()):
             commands = name.startswith("commands")

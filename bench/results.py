@@ -15,6 +15,7 @@ from __future__ import annotations
 import json
 import os
 import platform
+import re
 import statistics
 import subprocess
 from collections.abc import Mapping, Sequence
@@ -30,6 +31,12 @@ def quantile(values: Sequence[float], fraction: float) -> float:
     """Return a quantile of whole percent, interpolated linearly between the two nearest ranks."""
     cuts = statistics.quantiles([*values] * (2 if len(values) == 1 else 1), n=100, method="inclusive")
     return [min(values), *cuts, max(values)][round(100 * fraction)]
+
+
+def of_network(name: str, cluster: str) -> str:
+    """Return the name of the results of a bench on a cluster, of which ``cluster`` is the status: another network has files of its own."""
+    found = re.search(r"\bnetwork (\S+),", cluster)
+    return name if found is None or found[1] == "own" else f"{name}-{found[1]}"
 
 
 def columns(rows: Sequence[Sequence[str]]) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from scripts.generation import commands, diagrams, leaves, metrics, precedence, reference, scenarios, values
+from scripts.generation import commands, diagrams, leaves, metrics, networks, precedence, reference, scenarios, values
 from understudy.api.schema.definitions import definitions
 
 CHART = Path("charts/understudy")
@@ -18,6 +18,7 @@ SCENARIOS = Path("docs/trees-osc.md")
 PROCEDURES = Path("docs/procedures.md")
 LIMITS = Path("docs/limits.md")
 TREES = Path("docs/trees.md")
+NETWORKS = Path("docs/how-to/network-policies.md")
 LIBRARY = Path("operator/understudy/trees/languages/osc/lib_osc/understudy.osc")
 
 
@@ -66,6 +67,9 @@ def outputs(root: Path) -> dict[Path, str]:
     )
     result[LIMITS] = values.between_markers(
         (root / LIMITS).read_text(), precedence.table(), precedence.BEGIN, precedence.END
+    )
+    result[NETWORKS] = values.between_markers(
+        (root / NETWORKS).read_text(), networks.table(root / "bench" / "results"), networks.BEGIN, networks.END
     )
     for page, parts in {
         TREES: (

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from bench.results import Report, quantile
+from bench.results import Report, of_network, quantile
 
 
 @pytest.fixture
@@ -63,3 +63,18 @@ def test_an_unknown_bound_is_refused():
 @pytest.mark.parametrize(("fraction", "expected"), [(0, 1.0), (0.5, 2.5), (0.95, 3.85), (1, 4.0)])
 def test_quantiles_lie_between_the_nearest_ranks(fraction, expected):
     assert quantile([4.0, 1.0, 3.0, 2.0], fraction) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("status", "name"),
+    [
+        (
+            "cluster understudy: Kubernetes 1.34.4, network cilium, at https://198.18.0.1:6443 is ready",
+            "recovery-cilium",
+        ),
+        ("cluster understudy: Kubernetes 1.34.4, network own, at https://198.18.0.1:6443 is ready", "recovery"),
+        ("the cluster of KUBECONFIG", "recovery"),
+    ],
+)
+def test_the_results_on_another_network_have_a_file_of_their_own(status, name):
+    assert of_network("recovery", status) == name
