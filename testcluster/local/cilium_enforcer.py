@@ -81,8 +81,15 @@ class Cilium(Enforcer):
         }
 
     def complete(self, layout: Layout, kubectl: Kubectl) -> None:
-        """Write Cilium's kinds, and give each node the addresses of its pods."""
+        """Write Cilium's kinds and its ConfigMap, which others read, and give each node the addresses of its pods."""
         crds = str(self.program / "crds")
+        named = {
+            "apiVersion": "v1",
+            "kind": "ConfigMap",
+            "metadata": {"name": "cilium-config", "namespace": "kube-system"},
+        }
+        data = _settings(layout, "cilium") | _chosen()
+        kubectl("apply", "--server-side", "-f", "-", input=json.dumps({**named, "data": data}))
         kubectl("apply", "--server-side", "--force-conflicts", "--recursive", "-f", crds)
 
         def have_addresses() -> bool:

@@ -1,0 +1,112 @@
+"""On Cilium with 1,000 peers: with too small policy maps, an open gate is reported; with the documented setting, no gate is open.
+
+A pod of which only the identity exists counts like any other peer. Which of the two tests runs depends on the settings of the cluster:
+``UNDERSTUDY_CILIUM_SETTINGS='{"bpf-policy-map-max": "65536"}' scripts/cluster up --network cilium``.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from tests.e2e.console import understudy
+from tests.e2e.kubectl import Failed, Kubectl, Object
+from tests.e2e.scenario import Robot, eventually
+from understudy.cli.doctor.cilium_check import ENTRIES
+
+pytestmark = [pytest.mark.local_only, pytest.mark.network_policy, pytest.mark.long]
+
+PEERS = 1000
+FIRST = 40_000
+"""Number of the first identity. Cilium gives pods numbers from 256 to 65535."""
+
+REPORTED = 5.0
+"""Seconds from the first packet that passes an open gate until the workload reports it."""
+
+
+@pytest.fixture
+def crowd(executing: Robot, gate_kind: str) -> Iterator[None]:
+    """Have many peers in the namespace of a robot."""
+    kubectl = executing.kubectl
+    if gate_kind == "Mux":
+        pytest.skip("a mux needs no policies")
+    try:
+        kubectl.list("ciliumidentities")
+    except Failed:
+        pytest.skip("the network is not Cilium")
+    executing.wait_protected()
+    executing.wait_standby()
+    names = [str(FIRST + number) for number in range(PEERS)]
+    kubectl.apply(_identity(name, kubectl.namespace) for name in names)
+    yield
+    kubectl("delete", "ciliumidentities", *names, timeout=300)
+
+
+def _identity(name: str, namespace: str) -> Object:
+    labels = {
+        "k8s:io.kubernetes.pod.namespace": namespace,
+        "k8s:io.cilium.k8s.namespace.labels.kubernetes.io/metadata.name": namespace,
+        "k8s:io.cilium.k8s.policy.cluster": "understudy",
+        "k8s:app": f"peer-{name}",
+    }
+    metadata = {"name": name, "labels": {"io.kubernetes.pod.namespace": namespace}}
+    return {"apiVersion": "cilium.io/v2", "kind": "CiliumIdentity", "metadata": metadata, "security-labels": labels}
+
+
+def _room(kubectl: Kubectl) -> int:
+    settings = kubectl.in_namespace("kube-system").get("configmap", "cilium-config")["data"]
+    return int(settings.get("bpf-policy-map-max", ENTRIES))
+
+
+def _enforced(robot: Robot) -> tuple[str, str]:
+    found = robot.condition("GateEnforced")
+    return found.get("status", ""), found.get("reason", "")
+
+
+def _new_standby(robot: Robot) -> float:
+    """Delete the standby, and return when the agent of the new one was ready, in Unix seconds."""
+    active = robot.status()["gate"]["active"]
+    before = {pod["metadata"]["uid"] for pod in robot.pods()}
+    robot.kubectl("delete", "pod", *[n for n in (pod["metadata"]["name"] for pod in robot.pods()) if n != active])
+
+    def new() -> bool:
+        return any(
+            pod["metadata"]["uid"] not in before and pod["status"].get("phase") == "Running" for pod in robot.pods()
+        )
+
+    eventually(new, within=60, what="a new standby runs")
+    return time.time()
+
+
+def _assert_enforced(robot: Robot, seconds: float) -> None:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        assert _enforced(robot)[0] != "False", robot.condition("GateEnforced")
+        time.sleep(0.5)
+
+
+def test_an_open_gate_is_reported_within_seconds_beyond_the_room_of_the_policy_maps(
+    executing: Robot, crowd: None
+) -> None:
+    if _room(executing.kubectl) > ENTRIES:
+        pytest.skip("the maps have room for all peers")
+    done = understudy(executing.kubectl, "doctor")
+    assert "room in Cilium" in done.stdout
+    assert "no longer enforces changes" in " ".join(done.stdout.split())
+    runs = _new_standby(executing)
+    eventually(lambda: _enforced(executing) == ("False", "NotEnforced"), within=30, what="the open gate is reported")
+    print(f"reported {time.time() - runs:.1f} s after the standby ran")
+    assert time.time() - runs < REPORTED + 3.0, "its agent sends the first packet up to 3 s after its pod runs"
+
+
+def test_no_gate_is_open_with_the_documented_setting(executing: Robot, crowd: None) -> None:
+    if _room(executing.kubectl) <= ENTRIES:
+        pytest.skip("the maps have the default size")
+    _new_standby(executing)
+    _assert_enforced(executing, 20.0)
+    executing.wait_standby()
+    assert understudy(executing.kubectl, "failover", executing.workload).returncode == 0
+    assert executing.wait_recovered(1).strategy == "Fallback/Executing"
+    _assert_enforced(executing, 10.0)
