@@ -179,8 +179,10 @@ def test_can_i_lists_only_objects_of_the_workload_for_its_monitor(
         cluster.create(item, namespace)
     user = account(namespace, names.monitor_account("robot-17"))
     until(lambda: any(one.resource == "pods" for one in rights_of(cluster, namespace, user)), "its role to take effect")
+    upstream = names.gate("robot-17-localization")  # that of the workload on which it depends
     own = {
-        "networkpolicies.networking.k8s.io": {names.gate("robot-17")},
+        "leases.coordination.k8s.io": {upstream},
+        "networkpolicies.networking.k8s.io": {names.gate("robot-17"), upstream},
         "robotworkloads.understudy.dev": {"robot-17", "robot-17-localization"},  # on which it depends
         "robotworkloads.understudy.dev/status": {"robot-17"},
         "failurepolicies.understudy.dev": {"hot"},
