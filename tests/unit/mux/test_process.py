@@ -200,6 +200,8 @@ def test_a_mux_knows_the_writers_that_its_former_process_knew(tmp_path: Path) ->
 def test_a_silent_instance_is_replaced_while_nobody_gives_orders(stand: Stand) -> None:
     first = stand.instance("w-1")
     stand.instance("w-2")
+    while not {"w-1", "w-2"} <= stand.report().heard.keys():
+        pass  # otherwise the mux may replace an instance that it has not discovered yet
     stand.order(replace(ORDER, standing=StandingOrder(("w-2",), {CHAT: 0.5})))
     stand.until("w-1")
     first.kill()
