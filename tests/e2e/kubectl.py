@@ -14,6 +14,7 @@ from typing import Any
 from urllib3.exceptions import HTTPError
 
 from tests.support.cluster import Cluster, Refused
+from understudy.cli.doctor.cilium_check import OF_NAMESPACE
 
 Object = dict[str, Any]
 
@@ -22,8 +23,6 @@ TIMEOUT = 60.0
 
 READ_WITHIN = 90.0
 """Seconds within which a network has read a label. Cilium needs up to 35 s by default."""
-
-_OF_NAMESPACE = "k8s:io.cilium.k8s.namespace.labels."
 
 KILLED = 128 + 9
 """What a command exits with that was ended by SIGKILL."""
@@ -163,7 +162,7 @@ class Kubectl:
         except Failed:  # it is another network
             return True
         for status in (one.get("status") or {} for one in endpoints):
-            found = {label.removeprefix(_OF_NAMESPACE) for label in (status.get("identity") or {}).get("labels") or []}
+            found = {label.removeprefix(OF_NAMESPACE) for label in (status.get("identity") or {}).get("labels") or []}
             present = {label.partition("=")[0] for label in found}
             if status.get("state") != "ready" or any(
                 label.removesuffix("-") in present if label.endswith("-") else label not in found for label in labels

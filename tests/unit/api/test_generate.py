@@ -23,7 +23,7 @@ def _generate(*arguments: str) -> subprocess.CompletedProcess[str]:
 @pytest.fixture
 def copy(tmp_path: Path) -> Path:
     """A copy of the files that are generated, and of what is read for that."""
-    results = [Path("bench/results") / name for name in ("recovery.json", "reflex.json")]
+    results = [path.relative_to(REPOSITORY) for path in (REPOSITORY / "bench" / "results").glob("re*.json")]
     for path in [*outputs(REPOSITORY), Path("charts/understudy/values.yaml"), Path("docs/trees.md"), *results]:
         (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(REPOSITORY / path, tmp_path / path)

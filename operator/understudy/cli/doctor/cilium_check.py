@@ -11,7 +11,7 @@ from understudy.cli.doctor.findings import Finding
 from understudy.controller.observed import kube_objects
 from understudy.kube.client import CONFIG_MAPS, NETWORK_POLICIES, NODES, Object, Resource
 from understudy.kube.gates import registry
-from understudy.kube.gates.policy_entries import Peer, needed, needed_for
+from understudy.kube.gates.policy_entries import Peer, needed_for_each
 
 IDENTITIES = Resource("cilium.io", "v2", "ciliumidentities")
 _SYSTEM, _SETTINGS = "kube-system", "cilium-config"
@@ -23,7 +23,9 @@ FULL = 0.7
 """Share of the entries above which a warning is due: identities that nobody uses any more count for up to half an hour."""
 
 _PREFIX, _NAMESPACE = "k8s:", "k8s:io.kubernetes.pod.namespace"
-_OF_NAMESPACE = "k8s:io.cilium.k8s.namespace.labels."
+OF_NAMESPACE = "k8s:io.cilium.k8s.namespace.labels."
+"""How labels of an identity begin that are those of its namespace."""
+
 PAGE = "docs/how-to/network-policies.md#cilium"
 
 
@@ -51,17 +53,16 @@ def _room(
     settings: Mapping[str, str],
 ) -> Iterator[Finding]:
     """Compare what the workload that needs the most entries needs with what there are."""
-    most = 0
+    most, each, worst = 0, 0, ""
     for workload in workloads:
         name = kube_objects.name(workload)
         own = (names.standby(name), names.standby_reference(name), names.gate(name))
-        mine = [policies[one] for one in own if one in policies]
-        if (entries := needed(mine, peers, namespace)) > most:
-            most, worst, theirs = entries, name, mine
+        entries = needed_for_each([policies[one] for one in own if one in policies], peers, namespace)
+        if sum(entries) > most:
+            most, each, worst = sum(entries), max(entries), name
     if not most:
         return
     there = int(settings.get("bpf-policy-map-max", ENTRIES))
-    each = max(needed_for(theirs, peer, namespace) for peer in peers)
     used = f"an instance of {worst} needs {most} entries in Cilium's policy map, of {there}, and {each} for each further pod of its peers"
     cure = (
         "let spec.gate.peers select the robot's pods only, put robots into namespaces of their own, or set bpf-policy-map-max (65536 at "
@@ -128,5 +129,5 @@ def _peer(labels: Mapping[str, str]) -> Peer:
     return Peer(
         labels.get(_NAMESPACE, ""),
         {key.removeprefix(_PREFIX): value for key, value in own.items()},
-        {key.removeprefix(_OF_NAMESPACE): value for key, value in labels.items() if key.startswith(_OF_NAMESPACE)},
+        {key.removeprefix(OF_NAMESPACE): value for key, value in labels.items() if key.startswith(OF_NAMESPACE)},
     )

@@ -123,7 +123,6 @@ async def close_and_see(target: Instance, progress: Progress, context: StrategyC
         if loop_time() >= end:
             raise NotVerified(f"{pod} still reaches the robot, although the gate is closed (handover: BreakBeforeMake)")
         await asyncio.sleep(min(left, CLOSED_FOR / 4))
-    progress.moments["seen_closed"] = context.clock()
 
 
 def last_sign(target: Instance, progress: Progress, context: StrategyContext) -> tuple[float, str]:

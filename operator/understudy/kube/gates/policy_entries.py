@@ -18,17 +18,13 @@ class Peer:
     namespace_labels: Mapping[str, str]
 
 
-def needed(policies: Iterable[Object], peers: Sequence[Peer], namespace: str) -> int:
-    """Return the entries of a pod that these NetworkPolicies of a namespace select."""
-    return sum(
-        _entries(ports) * sum(any(_selects(one, peer, namespace) for one in selected) for peer in peers)
-        for selected, ports in _rules(policies)
-    )
-
-
-def needed_for(policies: Iterable[Object], peer: Peer, namespace: str) -> int:
-    """Return how many of them are for one peer."""
-    return needed(policies, [peer], namespace)
+def needed_for_each(policies: Iterable[Object], peers: Sequence[Peer], namespace: str) -> list[int]:
+    """Return, for each peer, the entries of a pod that these NetworkPolicies of a namespace select."""
+    rules = [(selected, _entries(ports)) for selected, ports in _rules(policies)]
+    return [
+        sum(entries for selected, entries in rules if any(_selects(one, peer, namespace) for one in selected))
+        for peer in peers
+    ]
 
 
 def _rules(policies: Iterable[Object]) -> Iterator[tuple[Sequence[Object], Sequence[Object]]]:
