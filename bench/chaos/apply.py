@@ -24,6 +24,7 @@ from bench.chaos.witness import PodSeen, Witness
 from tests.e2e.faults import api_server_process, cluster, process_ids, signal_processes, stopping
 from tests.e2e.kubectl import Failed, Kubectl
 from understudy.api import names
+from understudy.kube.gates import policy_parts
 
 CYCLE = 0.1
 """Seconds of one cycle of a slowed application."""
@@ -365,9 +366,10 @@ class Faults:
             yield f"names {holder or 'nobody'}"
             return
         if fault.chance < 0.4:
-            told, spec = "selects every instance", {"podSelector": {"matchLabels": {names.INSTANCE: None}}}
+            every = {"key": names.WORKLOAD, "operator": "In", "values": [robot.workload]}
+            told, spec = "selects every instance", {"podSelector": {"matchExpressions": [every]}}
         elif fault.chance < 0.7 and others:
-            told, spec = f"selects {others[0]}", {"podSelector": {"matchLabels": {names.INSTANCE: others[0]}}}
+            told, spec = f"selects {others[0]}", {"podSelector": {"matchExpressions": [policy_parts.named(others[:1])]}}
         else:
             told, spec = "lets nothing out", {"egress": []}  # type: ignore[dict-item]
         self._kubectl("patch", "networkpolicy", gate, "--type=merge", "-p", json.dumps({"spec": spec}), timeout=20)

@@ -69,7 +69,9 @@ def gate() -> Object:
     made = GATE.closed(MINE, Reach(), epoch=7)
     made["metadata"] |= {"labels": {"app.kubernetes.io/managed-by": "understudy"}, "ownerReferences": [OWNER]}
     made["metadata"]["annotations"] |= {names.ACTIVE: ACTIVE, names.ACTIVE_UID: "uid-a"}
-    made["spec"]["podSelector"]["matchLabels"][names.INSTANCE] = ACTIVE
+    made["spec"]["podSelector"] = {
+        "matchExpressions": GATE.routing(MINE, ACTIVE)["spec"]["podSelector"]["matchExpressions"]
+    }
     return made
 
 

@@ -73,7 +73,7 @@ def gates_body(workload: str) -> dict[str, object]:
         "kind": "NetworkPolicy",
         "metadata": {"name": names.gate(workload), "annotations": {names.EPOCH: "0"}},
         "spec": {
-            "podSelector": {"matchLabels": {names.WORKLOAD: workload, names.INSTANCE: names.GATE_CLOSED}},
+            "podSelector": {"matchLabels": {names.WORKLOAD: workload, names.INSTANCE: names.NOBODY}},
             "policyTypes": ["Egress"],
             "egress": [{}],
         },

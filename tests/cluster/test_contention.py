@@ -160,7 +160,7 @@ def gate(robot: str) -> Object:
         "kind": "NetworkPolicy",
         "metadata": {"name": names.gate(robot), "annotations": {names.EPOCH: "0"}},
         "spec": {
-            "podSelector": {"matchLabels": {names.WORKLOAD: robot, names.INSTANCE: names.GATE_CLOSED}},
+            "podSelector": {"matchLabels": {names.WORKLOAD: robot, names.INSTANCE: names.NOBODY}},
             "policyTypes": ["Egress"],
             "egress": [{}],
         },

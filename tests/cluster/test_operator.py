@@ -43,7 +43,7 @@ def test_everything_of_a_workload_appears(fleet: Fleet, operator: Operator) -> N
     address = fleet.get("Service", "w-discovery", CORE)["spec"]["clusterIP"]
     assert fleet.get("ConfigMap", "w-robot-env", CORE)["data"]["ROS_DISCOVERY_SERVER"] == f"{address}:11811"
     assert "/cmd_vel" in fleet.get("ConfigMap", "w-robot-profiles", CORE)["data"]["profiles.xml"]
-    assert fleet.gate()["spec"]["podSelector"]["matchLabels"][names.INSTANCE] == names.GATE_CLOSED
+    assert fleet.gate()["spec"]["podSelector"]["matchExpressions"][1]["values"] == [names.NOBODY]
     for pod in fleet.instances():
         until(
             lambda pod=pod: (

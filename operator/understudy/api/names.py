@@ -11,7 +11,11 @@ import re
 GROUP = "understudy.dev"
 
 WORKLOAD = f"{GROUP}/workload"
-"""On every instance: the RobotWorkload whose robot it may control. Both gate policies select by this label."""
+"""On every instance: the RobotWorkload whose robot it may control. All policies of the gate select by this label. On unclaimed pods of a
+shared pool it has the value UNCLAIMED."""
+
+UNCLAIMED = ""
+"""Value of WORKLOAD on unclaimed pods. No workload has this name."""
 
 INSTANCE = f"{GROUP}/instance"
 """On every instance: its own pod name, so that the gate can select exactly one instance."""
@@ -104,8 +108,9 @@ REPLACES = f"{GROUP}/replaces"
 NOT_MOVED = f"{GROUP}/not-moved"
 """Annotation of a standby on the node of the active instance: when its replacement elsewhere could not start, in whole unix seconds."""
 
-GATE_CLOSED = "closed"
-"""Value of INSTANCE in the gate's selector while no pod may send. No pod has this name, because instances are called NAME-xxxxx."""
+NOBODY = "closed"
+"""Value of INSTANCE in the selector of a policy that selects no instance, such as a closed gate. No pod has this name, because instances
+are called NAME-xxxxx."""
 
 GATE_PORTS = range(7950, 8149)
 """UDP ports on which gated readers listen at the robot."""
@@ -266,6 +271,11 @@ def gate(workload: str) -> str:
 def standby(workload: str) -> str:
     """Name of the object that blocks every instance from the robot unless the gate admits it."""
     return f"{workload}-standby"
+
+
+def claimed(workload: str) -> str:
+    """Name of the policy of pods that a workload has just claimed, for networks that follow changes of labels late."""
+    return f"{workload}-claimed"
 
 
 def standby_reference(workload: str) -> str:

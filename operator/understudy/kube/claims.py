@@ -5,9 +5,11 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import time
+from collections.abc import Iterable
 
 from understudy.api import names
 from understudy.api.base import API_VERSION
+from understudy.api.whole_numbers import whole_number
 from understudy.kube.apply import controller_of
 from understudy.kube.client import FAILURES, JSON, PODS, ApiError, Client, Object
 from understudy.kube.repeated_requests import RETRY_FIRST, RETRY_MOST, TRY_WITHIN, answered, unanswered
@@ -20,6 +22,21 @@ megabyte."""
 def part(key: str) -> str:
     """Return the part of a pool that a pod belongs to (by its name), or that a workload asks for first (by its UID)."""
     return str(hashlib.sha256(key.encode()).digest()[0] % PARTS)
+
+
+FOLLOWED_WITHIN = 60.0
+"""Seconds after a claim within which every network has read the new labels of the pod. Cilium needs up to 35 s by default."""
+
+
+def recent(pods: Iterable[Object], now: float) -> dict[str, float]:
+    """Return the names of pods whose labels a network may not have read since their claim, each with when it has. In Unix seconds."""
+    found = {}
+    for pod in pods:
+        metadata = pod["metadata"]
+        claimed = whole_number((metadata.get("annotations") or {}).get(names.CLAIMED_AT, ""))
+        if claimed is not None and now < claimed + FOLLOWED_WITHIN and not unclaimed(pod):
+            found[metadata["name"]] = claimed + FOLLOWED_WITHIN
+    return found
 
 
 async def claim(client: Client, pod: Object, *, workload: str, workload_uid: str, claim: str) -> Object:

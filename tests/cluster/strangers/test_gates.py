@@ -6,14 +6,16 @@ All is asked of a real API server.
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 
 import pytest
 
-from tests.cluster.monitor_accounts import ACTIVE, MINE, OTHER, OWNER, STANDBY, refusal
+from tests.cluster.monitor_accounts import ACTIVE, MINE, OTHER, OWNER, STANDBY, refusal, until_refused
 from tests.cluster.operators import NETWORK, Fleet, Operator, policy, workload
 from tests.support.cluster import Cluster, Object, Refused, until
 from understudy.api import names
-from understudy.kube.client import ApiError, Client
+from understudy.kube.client import NETWORK_POLICIES, ApiError, Client
+from understudy.kube.gates import pool_pod_policies
 from understudy.kube.gates.base import GateRecord, Reach
 from understudy.kube.gates.kinds.network_policy import GATE
 
@@ -28,8 +30,23 @@ def _record(**values: str | None) -> Object:
     return {"metadata": {"annotations": {f"{names.GROUP}/{key.replace('_', '-')}": v for key, v in values.items()}}}
 
 
+def _requiring(workloads: Sequence[str], instances: Sequence[str], operator: str = "In") -> Object:
+    """A selector of the form that a monitor writes, in place of the gate's."""
+    requirements = [
+        {"key": names.WORKLOAD, "operator": "In", "values": list(workloads)},
+        {"key": names.INSTANCE, "operator": operator, "values": list(instances)},
+    ]
+    return {"podSelector": {"matchLabels": None, "matchExpressions": requirements}}
+
+
 SELECTORS: dict[str, Object] = {
-    "every-pod-of-the-namespace": {"podSelector": {"matchLabels": None}},
+    "requires-another-workload": _requiring([OTHER, names.UNCLAIMED], [ACTIVE]),
+    "requires-one-of-two-workloads": _requiring([MINE, names.UNCLAIMED, OTHER], [ACTIVE]),
+    "requires-another-than-the-record-names": _requiring([MINE, names.UNCLAIMED], [STANDBY]),
+    "requires-one-of-three": _requiring([MINE, names.UNCLAIMED], [ACTIVE, STANDBY, "robot-17-c"]),
+    "requires-not-the-active-one": _requiring([MINE, names.UNCLAIMED], [ACTIVE], operator="NotIn"),
+    "requires-nobody": _requiring([MINE, names.UNCLAIMED], [names.NOBODY]),
+    "every-pod-of-the-namespace": {"podSelector": {"matchLabels": None, "matchExpressions": None}},
     "every-instance": _selecting(),
     "another-workload": _selecting(workload=OTHER, instance=ACTIVE),
     "not-the-active-one": _selecting(key=names.INSTANCE, operator="NotIn", values=[ACTIVE]),
@@ -38,8 +55,8 @@ SELECTORS: dict[str, Object] = {
     "two-that-the-record-does-not-name": _selecting(key=names.INSTANCE, operator="In", values=[ACTIVE, STANDBY]),
     "by-another-label": _selecting(key="app", operator="In", values=["nav"]),
     "another-than-the-record-names": _selecting(instance=STANDBY),
-    "closed-but-not-by-the-record": _selecting(instance=names.GATE_CLOSED),
-    "with-another-label": {"podSelector": {"matchLabels": {"app": "nav"}}},
+    "closed-but-not-by-the-record": _selecting(instance=names.NOBODY),
+    "with-another-label": {"podSelector": {"matchLabels": {"app": "nav"}, "matchExpressions": None}},
     "with-another-requirement": _selecting(instance=ACTIVE, key="app", operator="Exists"),
 }
 
@@ -78,7 +95,7 @@ def test_a_closed_gate_admits_no_standby(cluster: Cluster, compromised_monitor: 
         _selecting(instance=STANDBY),
         _selecting(key=names.INSTANCE, operator="In", values=["", STANDBY]),
         _selecting(key=names.INSTANCE, operator="In", values=[STANDBY]),
-        _selecting(instance=names.GATE_CLOSED),
+        _selecting(instance=names.NOBODY),
     ):
         assert "may let through only" in refusal(
             lambda selector=selector: cluster.patch(gate, {**record, "spec": selector}, user=compromised_monitor)  # type: ignore[misc]
@@ -191,6 +208,51 @@ def test_a_monitor_writes_no_other_policy_whatever_its_role_says(
     )
 
 
+@pytest.fixture
+def claimed(cluster: Cluster, namespace: str, compromised_monitor: str) -> Object:
+    """The policy of the pods that the workload has claimed, once its admission policy is enforced."""
+    rules = GATE.instance_rules(MINE, Reach())
+    made = cluster.create(pool_pod_policies.claimed_pods(MINE, rules, []), namespace)
+    until_refused(
+        lambda: cluster.patch(
+            made, {"metadata": {"labels": {"effective": "no"}}}, user=compromised_monitor, dry_run=True
+        ),
+        "may change only which pods",
+        "the admission policy of claimed pods to be enforced",
+    )
+    return made
+
+
+async def test_a_correct_monitor_names_claimed_pods(
+    correct_monitor: Client, cluster: Cluster, namespace: str, claimed: Object
+) -> None:
+    selector = pool_pod_policies.claimed_selector(MINE, ["spare-1", "spare-2"])
+    body = {"spec": {"podSelector": selector}}
+    made = await correct_monitor.patch(NETWORK_POLICIES, namespace, names.claimed(MINE), body)
+    assert made["spec"] == claimed["spec"] | {"podSelector": selector}
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        {"egress": [{}]},
+        {"ingress": [{}]},
+        {"policyTypes": ["Egress"]},
+        _requiring([OTHER, names.UNCLAIMED], [ACTIVE]),
+        _requiring([MINE, names.UNCLAIMED, OTHER], [ACTIVE]),
+        _requiring([MINE, names.UNCLAIMED], [ACTIVE], operator="NotIn"),
+        {"podSelector": {"matchExpressions": None}},
+        {"podSelector": {"matchLabels": {"app": "nav"}}},
+    ],
+    ids=["egress", "ingress", "types", "other", "another", "not-in", "everybody", "label"],
+)
+def test_a_monitor_lets_the_policy_of_claimed_pods_select_no_pods_of_others(
+    cluster: Cluster, compromised_monitor: str, claimed: Object, spec: Object
+) -> None:
+    message = refusal(lambda: cluster.patch(claimed, {"spec": spec}, user=compromised_monitor))
+    assert "may select only pods of its own workload" in message or "may change only which pods" in message
+
+
 def test_everybody_else_writes_gates_as_their_roles_allow(
     cluster: Cluster, namespace: str, compromised_monitor: str, gate: Object
 ) -> None:
@@ -218,8 +280,8 @@ def test_the_operator_restores_a_gate_that_somebody_opened_for_further_pods(flee
     committed = fleet.cluster.patch(gate, commit)["spec"]
     selector, rules = committed["podSelector"], committed["egress"]
     for edit in (
-        {"podSelector": {"matchLabels": None}},
-        {"podSelector": {"matchLabels": {names.INSTANCE: None}}},
+        {"podSelector": {"matchExpressions": None}},
+        {"podSelector": {"matchExpressions": [{"key": names.WORKLOAD, "operator": "In", "values": ["w"]}]}},
         {"podSelector": {"matchLabels": {names.WORKLOAD: "v"}}, "egress": []},
     ):
         fleet.cluster.patch(gate, {"spec": edit})
@@ -233,7 +295,7 @@ def test_the_repair_of_a_gate_never_undoes_a_commit(fleet: Fleet, operator: Oper
     gate = until(lambda: fleet.find("NetworkPolicy", names.gate("w"), NETWORK), "the gate")
     rounds = 20
     for number in range(rounds):
-        fleet.cluster.patch(gate, {"spec": {"podSelector": {"matchLabels": None}}})
+        fleet.cluster.patch(gate, {"spec": {"podSelector": {"matchExpressions": None}}})
 
         def committed(number: int = number) -> bool:
             over = GateRecord.of(fleet.gate())

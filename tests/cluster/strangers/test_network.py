@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import subprocess
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import pytest
 
@@ -15,7 +15,7 @@ from tests.cluster.policy_pods import Agent, Flow, World, flows
 from tests.support.cluster import Object
 from understudy.api import names
 from understudy.controller.desired import control_plane_policies
-from understudy.kube.gates import unclaimed_pod_policy
+from understudy.kube.gates import pool_pod_policies
 from understudy.kube.gates.base import Reach
 from understudy.kube.gates.kinds.network_policy import GATE
 
@@ -103,11 +103,20 @@ def _relabelled(world: World, pod: str, labels: Mapping[str, str]) -> Iterator[N
         _label(world, {pod: {**dict.fromkeys(labels), **before}})
 
 
-def _enforce(world: World, reach: Reach, *, metrics_from: list[Object] | None = None) -> None:
-    """Apply the policies of the workload, with a gate that is open for the active instance."""
+def _enforce(
+    world: World,
+    reach: Reach,
+    *,
+    metrics_from: list[Object] | None = None,
+    active: str = "active",
+    further: Sequence[Object] = (),
+) -> None:
+    """Apply the policies of the workload, with a gate that is open for the active instance, and further policies."""
     gate = GATE.closed("w", reach, epoch=1)
-    gate["spec"]["podSelector"]["matchLabels"][names.INSTANCE] = "active"
-    found = [gate, *(body for _, body in GATE.companions("w", reach))]
+    gate["spec"]["podSelector"] = {
+        "matchExpressions": GATE.routing("w", active)["spec"]["podSelector"]["matchExpressions"]
+    }
+    found = [gate, *(body for _, body in GATE.companions("w", reach)), *further]
     found.append(control_plane_policies.policy("w", reach, metrics_from or []))
     for item in found:
         item["metadata"]["namespace"] = world.spaces["fleet"]
@@ -196,7 +205,7 @@ def test_only_a_monitor_that_serves_a_workload_reaches_an_unclaimed_pod(workload
         _relabelled(workload, "standby", {names.POOL: "spare", names.HELD: "true"}),
         _relabelled(workload, "robot", monitors),
     ):
-        policy = unclaimed_pod_policy.held_pods("spare", "1")
+        policy = pool_pod_policies.held_pods("spare", "1")
         policy["metadata"]["namespace"] = workload.spaces["fleet"]
         workload.enforce([policy])
         sends = [f"standby -> {target} {port}" for target in ("robot", "camera") for port in ("udp/1000", "tcp/80")]
@@ -204,6 +213,32 @@ def test_only_a_monitor_that_serves_a_workload_reaches_an_unclaimed_pod(workload
             flows(["camera -> standby tcp/8950"]),
             flows([*sends, "robot -> standby tcp/8950", "distant -> standby tcp/8950", "camera -> standby tcp/80"]),
         )
+
+
+@pytest.mark.parametrize("in_control", [False, True], ids=["standby", "in-control"])
+def test_a_claimed_pod_has_the_packets_of_an_instance_by_its_labels_from_before_the_claim(
+    workload: World, in_control: bool
+) -> None:
+    """For a network that reads changed labels late, it is still unclaimed, and behind the policy of unclaimed pods too."""
+    unclaimed = {names.WORKLOAD: names.UNCLAIMED, names.HELD: "true", names.POOL: "spare", names.INSTANCE: "standby"}
+    policies = [
+        pool_pod_policies.held_pods("spare", "1"),
+        pool_pod_policies.claimed_pods("w", GATE.instance_rules("w", Reach()), ["standby"]),
+    ]
+    gated = flows([f"standby -> {to}" for to in ("robot udp/7950", "camera udp/8149")])
+    with _relabelled(workload, "standby", unclaimed):
+        _enforce(workload, Reach(), active="standby" if in_control else "active", further=policies)
+        workload.expect(
+            [
+                *flows([f"standby -> robot {port}" for port in OPEN]),
+                *flows(["robot -> standby udp/1000", "camera -> standby tcp/8950", "standby -> camera udp/11811"]),
+                *flows(["standby -> camera tcp/8149"]),
+                *(gated if in_control else []),
+            ],
+            [*([] if in_control else gated), *flows(["standby -> dashboard udp/1000", "robot -> standby tcp/8950"])],
+        )
+        _enforce(workload, Reach(), further=policies[:1])
+        workload.expect([], [*gated, *flows([f"standby -> robot {port}" for port in OPEN])])
 
 
 @pytest.mark.local_only

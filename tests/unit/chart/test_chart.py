@@ -86,7 +86,7 @@ def test_the_policy_of_gates_allows_the_record_that_the_code_writes(render: Rend
     assert {key for patch in patches for key in patch["metadata"].get("labels", ())} == {names.WAITS_FOR}
     assert f"key != '{names.WAITS_FOR}'" in text
     assert f"variables.workload + '{names.gate('')}'" in text
-    assert f"'' ? '{names.GATE_CLOSED}' : variables.active" in text
+    assert f"'' ? ['{names.NOBODY}'] : variables.admitted" in text
     for key in (names.WORKLOAD, names.INSTANCE, names.EPOCH, names.ACTIVE, names.ADMITTED, names.FENCED):
         assert f"'{key}'" in text
 

@@ -11,7 +11,7 @@ from understudy.kube.client import Object
 from understudy.kube.gates.base import Reach
 
 OURS = [
-    {"podSelector": {"matchLabels": {names.WORKLOAD: "w"}}},
+    {"podSelector": {"matchExpressions": [{"key": names.WORKLOAD, "operator": "In", "values": ["w", ""]}]}},
     {"podSelector": {"matchLabels": {names.MONITORED: "w"}}},
 ]
 NAMESPACE = {"podSelector": {}}

@@ -204,6 +204,27 @@ class TestChangeIndex:
         assert (Key("robotworkloads", "fleet", "w") in found.keys) is not bool(others)
         assert Key("robotworkloads", "fleet", "v") in found.keys
 
+    def test_the_policy_of_claimed_pods_is_part_of_a_claim(self) -> None:
+        """Its write follows that of the pod, in the middle of a recovery."""
+        owner = kube_objects.owner("RobotWorkload", workload())
+        before = {"metadata": {"name": "w-claimed", "namespace": "fleet", "uid": "u", "ownerReferences": [owner]}}
+        found = change_index.of(ObservedChange(NETWORK_POLICIES, before, at(before, 9)), self.store())
+        assert (found.keys, found.is_claim) == ({Key("robotworkloads", "fleet", "w")}, True)
+
+    def test_an_unclaimed_pod_is_of_no_workload(self) -> None:
+        found = self.keys(ObservedChange(PODS, None, held_pod("spare-a", of=spare())))
+        assert ("robotworkloads", "") not in found
+
+    def test_a_claim_tampers_with_no_label(self) -> None:
+        after = at(pod("spare-a", labels={names.WORKLOAD: "w", names.INSTANCE: "spare-a", names.POOL: "spare"}), 9)
+        before = held_pod("spare-a", of=spare())
+        del before["metadata"]["labels"][names.COMPONENT]
+        after["metadata"] |= {
+            "uid": before["metadata"]["uid"],
+            "ownerReferences": [kube_objects.owner("RobotWorkload", workload())],
+        }
+        assert change_index.tampered(ObservedChange(PODS, before, after)) is None
+
     def test_a_claim_reconciles_the_pool_and_the_workload(self) -> None:
         before = held_pod("spare-a", of=spare())
         after = at(pod("spare-a", labels={names.WORKLOAD: "v", names.POOL: "spare"}), 9)

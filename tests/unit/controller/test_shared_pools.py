@@ -34,7 +34,7 @@ def test_an_empty_pool_is_filled() -> None:
     for pod in made:
         labels = pod["metadata"]["labels"]
         assert labels[names.HELD] == "true"
-        assert names.WORKLOAD not in labels
+        assert labels[names.WORKLOAD] == names.UNCLAIMED
         assert labels[names.PART] == claims.part(pod["metadata"]["name"])
         assert ownership.controls(kube_objects.uid(pool), pod)
 

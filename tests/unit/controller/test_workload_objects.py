@@ -12,6 +12,7 @@ from tests.unit.controller.world import (
     NAMESPACE,
     World,
     applied,
+    claimed_pod,
     created,
     deleted,
     gate,
@@ -28,6 +29,7 @@ from understudy.controller.desired import workload_objects
 from understudy.controller.observed import kube_objects
 from understudy.controller.plan import Apply
 from understudy.kube.client import Object
+from understudy.kube.gates import registry
 
 
 def every_object(world: World) -> list[Object]:
@@ -112,7 +114,8 @@ def test_a_discovery_server_is_deleted_if_it_is_no_longer_managed() -> None:
 class TestGate:
     def test_a_new_gate_is_closed(self) -> None:
         (made,) = created(World(workload(), policy("Restart")).plan(), "networkpolicies")
-        assert made["spec"]["podSelector"]["matchLabels"] == {names.WORKLOAD: "w", names.INSTANCE: names.GATE_CLOSED}
+        assert registry.DEFAULT.let_through(made) == ()
+        assert made["spec"]["podSelector"]["matchExpressions"][1]["values"] == [names.NOBODY]
         assert made["metadata"]["annotations"][names.EPOCH] == "0"
 
     def test_an_existing_gate_is_not_written(self) -> None:
@@ -150,14 +153,7 @@ class TestGate:
         broken = gate(world.workload, active=active, epoch=41)
         broken["spec"]["podSelector"] = selector
         world.own(broken)
-        assert patched(world.plan(), "networkpolicies")["w-gate"] == {
-            "spec": {
-                "podSelector": {
-                    "matchLabels": {names.WORKLOAD: "w", names.INSTANCE: "w-a"},
-                    "matchExpressions": None,
-                }
-            }
-        }
+        assert patched(world.plan(), "networkpolicies")["w-gate"] == registry.DEFAULT.routing("w", "w-a")
 
     def test_a_recreated_gate_continues_at_the_epoch_of_the_status(self) -> None:
         world = World(workload(status={"gate": {"epoch": 41, "active": "w-a"}}), policy("Restart"))
@@ -280,13 +276,37 @@ def test_the_monitor_may_change_only_its_own_workload() -> None:
     only = {
         (r, v): rule.get("resourceNames") for rule in role["rules"] for r in rule["resources"] for v in rule["verbs"]
     }
-    assert only["networkpolicies", "patch"] == ["w-gate"]
+    assert _only(world, "networkpolicies", "patch") == [["w-gate"], ["w-claimed"]]
     assert only["robotworkloads/status", "patch"] == ["w"]
     assert only["secrets", "get"] == ["w-agent", "spare-pool-agent"]
     assert only["replicasets/scale", "patch"] == ["w"]
     assert only["configmaps", "get"] == ["w-settings"]
     assert ("secrets", "list") not in only
     assert ("pods", "create") not in only
+
+
+class TestClaimedPods:
+    def test_a_workload_without_a_shared_pool_has_no_policy_of_claimed_pods(self) -> None:
+        assert "w-claimed" not in applied(World(workload(), policy("hot"), hot()).plan(), "networkpolicies")
+
+    @pytest.mark.parametrize("age", [0.0, 59.0, 61.0])
+    def test_a_claimed_pod_is_named_until_every_network_has_read_its_labels(self, age: float) -> None:
+        world = World(workload(), policy("spare"), spare())
+        claimed = claimed_pod("spare-1", of=spare(), by=world.workload)
+        claimed["metadata"]["annotations"][names.CLAIMED_AT] = str(int(world.now - age))
+        world.pods = [source_pod("w-a"), claimed]
+        plan = world.plan()
+        selector = applied(plan, "networkpolicies")["w-claimed"]["spec"]["podSelector"]
+        assert selector["matchExpressions"][1]["values"] == ([names.NOBODY] if age > 60 else ["spare-1"])
+        if age < 60:
+            assert plan.again_after is not None
+            assert plan.again_after <= 61 - age
+
+    def test_the_policy_of_claimed_pods_is_maintained_after_its_pool_is_no_longer_used(self) -> None:
+        world = World(workload(), policy("spare"), spare())
+        world.build()
+        world.others = [policy("Restart")]
+        assert "w-claimed" in applied(world.plan(), "networkpolicies")
 
 
 def _only(world: World, resource: str, verb: str) -> list[list[str] | None]:

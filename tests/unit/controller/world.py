@@ -170,6 +170,7 @@ def held_pod(name: str, *, of: Object, template_hash: str = "", **more: Any) -> 
         names.COMPONENT: "instance",
         names.POOL: kube_objects.name(of),
         names.HELD: "true",
+        names.WORKLOAD: names.UNCLAIMED,
         names.INSTANCE: name,
         names.TEMPLATE_HASH: template_hash,
     }
@@ -206,7 +207,7 @@ def gate(of: Object, *, active: Object | None = None, epoch: int = 0) -> Object:
         kind, name = registry.of(of), kube_objects.name(active)
         made["spec"] |= kind.routing(kube_objects.name(of), name)["spec"]
         if selector := made["spec"].get("podSelector"):
-            selector.pop("matchExpressions")  # None in a merge patch: the field is removed
+            selector.pop("matchLabels")  # None in a merge patch: the field is removed
     return made
 
 

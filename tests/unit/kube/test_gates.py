@@ -10,6 +10,7 @@ import pytest
 from tests.unit.kube.memory import MemoryClient
 from understudy.api import names
 from understudy.api.kinds.robot_workload import Gate
+from understudy.kube import selectors
 from understudy.kube.client import ApiError, Object
 from understudy.kube.gates import registry
 from understudy.kube.gates.base import GateKind, GateRecord, Reach
@@ -276,9 +277,7 @@ async def test_whom_a_gate_lets_through_is_restored_from_its_record_although_no_
     gate = Opened(GATE)
     await gate.create()
     before = await gate.commit("a")
-    selector = GATE.routing("w", *through)["spec"]["podSelector"]
-    labels = {key: value for key, value in selector["matchLabels"].items() if value}
-    edited = {**before, "spec": {**before["spec"], "podSelector": {**selector, "matchLabels": labels}}}
+    edited = {**before, "spec": {**before["spec"], **GATE.routing("w", *through)["spec"]}}
     assert "spec" not in (GATE.repair(edited, Reach(), owner=OWNER, labels={}, paused=True) or {})
     patch = GATE.repair(edited, Reach(), owner=OWNER, labels={})
     assert patch is not None
@@ -293,7 +292,55 @@ def test_a_record_that_names_a_standby_and_nobody_in_control_lets_nobody_through
     gate["spec"]["podSelector"] = {}
     patch = GATE.repair(gate, Reach(), owner=OWNER, labels={})
     assert patch is not None
-    assert patch["spec"]["podSelector"]["matchLabels"] == {names.WORKLOAD: "w", names.INSTANCE: names.GATE_CLOSED}
+    assert patch["spec"] == GATE.routing("w", "")["spec"]
+
+
+UNCLAIMED = {names.WORKLOAD: names.UNCLAIMED, names.HELD: "true", names.POOL: "spare", names.INSTANCE: "a"}
+
+
+@pytest.mark.parametrize("labels", [UNCLAIMED, {names.WORKLOAD: "w", names.INSTANCE: "a"}], ids=["before", "after"])
+@pytest.mark.parametrize("through", [("a", ""), ("a", "b"), ("b", "a")])
+async def test_a_gate_lets_a_claimed_pod_through_by_its_labels_from_before_its_claim_and_from_after_it(
+    labels: Object, through: tuple[str, str]
+) -> None:
+    """A network may read the changed labels of a pod late: Cilium after 6 to 30 s."""
+    gate = Opened(GATE)
+    await gate.create()
+    assert not selectors.matches((await gate.read())["spec"]["podSelector"], labels)
+    await gate.write(GATE.routing("w", *through))
+    selector = (await gate.read())["spec"]["podSelector"]
+    assert selectors.matches(selector, labels)
+    assert not selectors.matches(selector, labels | {names.INSTANCE: "c"})
+    assert not selectors.matches(selector, labels | {names.WORKLOAD: "v"}), "an instance of another workload"
+
+
+@pytest.mark.parametrize(
+    ("selector", "admitted"),
+    [
+        ({"matchLabels": {names.WORKLOAD: "w", names.INSTANCE: "a"}}, ""),
+        (
+            {
+                "matchLabels": {names.WORKLOAD: "w"},
+                "matchExpressions": [{"key": names.INSTANCE, "operator": "In", "values": ["a", "b"]}],
+            },
+            "b",
+        ),
+    ],
+    ids=["one", "two"],
+)
+async def test_a_selector_that_a_monitor_of_an_earlier_version_has_written_is_right(
+    selector: Object, admitted: str
+) -> None:
+    """It would write it again, and operator and monitor would take turns."""
+    gate = Opened(GATE)
+    await gate.create()
+    before = await gate.commit("a")
+    if admitted:
+        before = await gate.admit(admitted)
+    earlier = {**before, "spec": {**before["spec"], "podSelector": selector}}
+    assert GATE.let_through(earlier) == GATE.let_through(before)
+    assert not GATE.routing_repair(earlier, "w", "a", admitted)
+    assert GATE.routing_repair(earlier, "w", "b", admitted)
 
 
 def test_an_epoch_that_somebody_lowered_is_restored_to_the_last_reported_one() -> None:

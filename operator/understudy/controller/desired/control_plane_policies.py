@@ -10,10 +10,13 @@ from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.controller.observed.observation import Observed
 from understudy.kube.client import Object
 from understudy.kube.gates.base import Reach
-from understudy.kube.gates.policy_parts import addresses, network_policy, ports, protectors
+from understudy.kube.gates.policy_parts import addresses, network_policy, of_workload, ports, protectors
 
 _INSTANCES: Object = {"podSelector": {"matchExpressions": [{"key": names.WORKLOAD, "operator": "Exists"}]}}
-"""The instances of all workloads of the namespace, as a peer. Only they have an agent that may be cut off."""
+"""The instances of all workloads of the namespace, as a peer: only they have an agent that may be cut off.
+
+Unclaimed pods have the label too, but can send nothing.
+"""
 
 
 def reach(observed: Observed, spec: RobotWorkloadSpec) -> Reach:
@@ -38,7 +41,7 @@ def policy(workload: str, within: Reach, metrics_from: Sequence[Object], *, from
     workloads, so the instances of all workloads of the namespace may ask. ``metrics_from`` are the peers that read metrics.
     ``from_nodes`` is whether instances have the addresses of their nodes, which no policy can name: then everybody reaches the graph.
     """
-    ours: list[Object] = [{"podSelector": {"matchLabels": {names.WORKLOAD: workload}}}, protectors(workload)]
+    ours: list[Object] = [{"podSelector": {"matchExpressions": [of_workload(workload)]}}, protectors(workload)]
     ours += [{"podSelector": dict(within.reference)}] if within.reference else []
     peers = [*(within.peers or [{"podSelector": {}}]), *addresses(within.robots)]
     graph = [ports("UDP", last=names.PROBE_PORT - 1), ports("UDP", names.PROBE_PORT + 1)]

@@ -15,7 +15,7 @@ from understudy.controller.pods import ros_environment
 from understudy.controller.pods.instance_pod import HARDENED
 from understudy.controller.pods.pod_placement import away_from
 from understudy.kube.apply import digest
-from understudy.kube.client import Object
+from understudy.kube.client import NETWORK_POLICIES, Object
 from understudy.kube.gates import registry
 from understudy.kube.gates.base import GateKind
 from understudy.ros.rmw import MIDDLEWARE
@@ -236,6 +236,8 @@ def access(
     if pools or policy is None:
         # The gates of other workloads show which of them wait for a pod of a shared pool.
         rules += [_rule(one.group, [one.plural], ["list", "watch"]) for one in registry.GATE_RESOURCES]
+    if pools:
+        rules.append(_rule(NETWORK_POLICIES.group, [NETWORK_POLICIES.plural], ["patch"], [names.claimed(workload)]))
     if source_kind == "ReplicaSet":
         rules.append(_rule("apps", ["replicasets/scale"], ["get", "patch"], [source_name]))
     metadata = {"name": names.monitor(workload), "labels": labels(workload)}

@@ -28,6 +28,7 @@ from understudy.controller.observed.observation import Observed
 from understudy.controller.plan import Apply, Create, Delete, Images, Patch, Plan, Write
 from understudy.controller.pods import claim_tokens, instance_pod, ros_environment
 from understudy.controller.pods.pool_pods import UniqueValues
+from understudy.kube import claims
 from understudy.kube.client import (
     CONFIG_MAPS,
     DEPLOYMENTS,
@@ -42,7 +43,7 @@ from understudy.kube.client import (
     Object,
     Resource,
 )
-from understudy.kube.gates import registry
+from understudy.kube.gates import pool_pod_policies, registry
 from understudy.ros.rmw import MIDDLEWARE
 
 _BY_KIND: dict[str, Resource] = {"ServiceAccount": SERVICE_ACCOUNTS, "Role": ROLES, "RoleBinding": ROLE_BINDINGS}
@@ -67,6 +68,7 @@ def plan(observed: Observed, workload_plan: WorkloadPlan, images: Images, fresh:
         _permit_evictions_in_vain(made, observed)
         return made
     _gate(made, observed, spec, images)
+    _connect_claimed(made, observed, workload_plan, spec)
     _hold(made, observed, workload_plan)
     _configure(made, observed, workload_plan, environment)
     _monitor(made, observed, workload_plan, images, environment)
@@ -173,6 +175,19 @@ def _gate(made: Plan, observed: Observed, spec: RobotWorkloadSpec, images: Image
     epoch, paused = observed.reported_epoch, spec.pause is not None
     if repair := kind.repair(gate, reach, owner=owner, labels=kube_objects.MANAGED_BY, epoch=epoch, paused=paused):
         made.writes.append(Patch(kind.resource, gate, repair))
+
+
+def _connect_claimed(made: Plan, observed: Observed, workload_plan: WorkloadPlan, spec: RobotWorkloadSpec) -> None:
+    """Maintain the policy of pods that the workload has just claimed. The monitor names a pod there as soon as it has claimed it."""
+    name = kube_objects.name(observed.workload)
+    is_there = (NETWORK_POLICIES.plural, names.claimed(name)) in observed.owned
+    if not is_there and not _commanded(observed, workload_plan):
+        return
+    recent = claims.recent(observed.pods, observed.now)
+    if recent:
+        made.later(min(recent.values()) - observed.now)
+    rules = registry.of(observed.workload).instance_rules(name, control_plane_policies.reach(observed, spec))
+    made.writes.append(_ours(observed, NETWORK_POLICIES, pool_pod_policies.claimed_pods(name, rules, sorted(recent))))
 
 
 def _hold(made: Plan, observed: Observed, workload_plan: WorkloadPlan) -> None:

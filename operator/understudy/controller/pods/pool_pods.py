@@ -18,7 +18,7 @@ from understudy.failover.pool_queue import Waiter, in_order
 from understudy.failover.progress import waiter
 from understudy.kube import selectors
 from understudy.kube.client import DISRUPTION_BUDGETS, PODS, Object
-from understudy.kube.gates import unclaimed_pod_policy
+from understudy.kube.gates import pool_pod_policies
 
 MOVING = "Moving"
 """The condition that exists while pods are being replaced on other nodes."""
@@ -182,8 +182,8 @@ def plan(observed: Observed, pool_plan: PoolPlan, fresh: UniqueValues) -> Plan:
     want = pool_size.wanted(spec, pool_plan.sized)
     update = _update(spec, want)
     # The network policy that names the claimable pods is written before other pods are deleted.
-    policy = unclaimed_pod_policy.held_pods(name, pod_counts.claimable(living, present, update))
-    made.writes.append(Apply(unclaimed_pod_policy.RESOURCE, ownership.ours(policy, owner, pool)))
+    policy = pool_pod_policies.held_pods(name, pod_counts.claimable(living, present, update))
+    made.writes.append(Apply(pool_pod_policies.RESOURCE, ownership.ours(policy, owner, pool)))
     change = pod_counts.change(
         held,
         want=want,

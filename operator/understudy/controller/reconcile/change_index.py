@@ -27,6 +27,7 @@ from understudy.kube.client import (
     CONFIG_MAPS,
     DEPLOYMENTS,
     DISRUPTION_BUDGETS,
+    NETWORK_POLICIES,
     NODES,
     PODS,
     POLICIES,
@@ -37,7 +38,7 @@ from understudy.kube.client import (
     Object,
     Resource,
 )
-from understudy.kube.gates import registry, unclaimed_pod_policy
+from understudy.kube.gates import pool_pod_policies, registry
 
 
 class Key(NamedTuple):
@@ -61,7 +62,7 @@ class Affected(NamedTuple):
     keys: set[Key]
     """Objects that the change may affect. Extra keys do no harm."""
     is_claim: bool
-    """Whether a workload has claimed one of many pods of a shared pool.
+    """Whether a workload has claimed one of many pods of a shared pool, or names it in the policy of such pods.
 
     Until the workload's gate reports the result, the claim does not affect other objects.
     """
@@ -83,7 +84,9 @@ def tampered(change: ObservedChange) -> Key | None:
     if change.resource.plural != PODS.plural or old is None or new is None or kube_objects.deleted(new):
         return None
     before, after = kube_objects.labels(old), kube_objects.labels(new)
-    if kube_objects.uid(old) != kube_objects.uid(new) or all(before.get(k) in (None, after.get(k)) for k in _RESTORED):
+    if kube_objects.uid(old) != kube_objects.uid(new) or all(
+        before.get(k) in (None, names.UNCLAIMED, after.get(k)) for k in _RESTORED
+    ):
         return None
     return Key(PODS.plural, new["metadata"]["namespace"], kube_objects.name(new)) if workload_of(new) else None
 
@@ -137,12 +140,21 @@ def _keys(change: ObservedChange, store: Store, plenty: Collection[str]) -> Iter
 
 
 def _is_claim(change: ObservedChange, plenty: Collection[str]) -> bool:
-    if change.resource.plural != PODS.plural or change.old is None or change.new is None:
+    if change.old is None or change.new is None:
+        return False
+    if change.resource.plural == NETWORK_POLICIES.plural:
+        return _is_of_claimed_pods(change.new)
+    if change.resource.plural != PODS.plural:
         return False
     before = kube_objects.labels(change.old)
     return (
         names.HELD in before and names.CLAIM in kube_objects.notes(change.new) and before.get(names.POOL, "") in plenty
     )
+
+
+def _is_of_claimed_pods(policy: Object) -> bool:
+    owner = controller_of(policy)
+    return owner is not None and kube_objects.name(policy) == names.claimed(owner["name"])
 
 
 def _spec_changed(change: ObservedChange) -> bool:
@@ -231,8 +243,8 @@ def _after_pod(change: ObservedChange, store: Store, namespace: str, plenty: Col
             continue
         labels = kube_objects.labels(item)
         for label, plural in ((names.WORKLOAD, WORKLOADS), (names.MONITORED, WORKLOADS), (names.POOL, POOLS)):
-            if label in labels:
-                yield Key(plural.plural, namespace, labels[label])
+            if name := labels.get(label):
+                yield Key(plural.plural, namespace, name)
         # Somebody may have removed the labels.
         if ownership.is_understudys(item) and (owner := controller_of(item)) is not None:
             yield Key(_PLURALS[owner["kind"]], namespace, owner["name"])
@@ -274,7 +286,7 @@ def _has_plenty(name: str, held: Object, store: Store, namespace: str) -> bool:
     if pool is None:
         return False
     reserved = ((pool.get("spec") or {}).get("reserve") or {}).get("pods") or 0
-    allowed = pool_pods.claimable_hash(store.get(unclaimed_pod_policy.RESOURCE, namespace, names.held(name)))
+    allowed = pool_pods.claimable_hash(store.get(pool_pod_policies.RESOURCE, namespace, names.held(name)))
     others = (
         pod
         for pod in store.labelled(PODS, namespace, names.POOL, name)
@@ -287,6 +299,8 @@ def _has_plenty(name: str, held: Object, store: Store, namespace: str) -> bool:
 
 def _after_policy(policy: Object, store: Store, namespace: str) -> Iterator[Key]:
     owner = controller_of(policy)
+    if _is_of_claimed_pods(policy):
+        return
     if owner is not None and owner["kind"] == "FallbackPool":
         yield from _pool_users(owner["name"], store, namespace)
     elif owner is not None and owner["kind"] == "RobotWorkload":
@@ -313,8 +327,8 @@ def _after_node(change: ObservedChange, store: Store) -> Iterator[Key]:
             continue
         labels, namespace = kube_objects.labels(pod), pod["metadata"]["namespace"]
         for label, plural in ((names.WORKLOAD, WORKLOADS), (names.POOL, POOLS)):
-            if label in labels:
-                yield Key(plural.plural, namespace, labels[label])
+            if name := labels.get(label):
+                yield Key(plural.plural, namespace, name)
         if labels.get(names.SOURCE) == "workload":
             yield from _stood_in_for(labels.get(names.WORKLOAD, ""), store, namespace)
     # A node that is added accepts no pods at first. When the operator starts, each node of the cluster is added.

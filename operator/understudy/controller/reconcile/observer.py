@@ -44,7 +44,7 @@ from understudy.kube.client import (
     Object,
     Resource,
 )
-from understudy.kube.gates import unclaimed_pod_policy
+from understudy.kube.gates import pool_pod_policies
 
 
 class Reader(Protocol):
@@ -83,7 +83,7 @@ class Observer:
             held_policies={
                 pool: policy
                 for pool in serving
-                if (policy := store.get(unclaimed_pod_policy.RESOURCE, namespace, names.held(pool))) is not None
+                if (policy := store.get(pool_pod_policies.RESOURCE, namespace, names.held(pool))) is not None
             },
             owned=store.owned(uid),
             # Read at the same moment as the next field: a pod that appears during a wait must be in one of the two.

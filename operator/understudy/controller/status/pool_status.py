@@ -17,7 +17,7 @@ from understudy.controller.pods import instance_pod, pod_counts, pool_pods, pool
 from understudy.controller.pods.pool_size import Sized
 from understudy.kube import selectors
 from understudy.kube.client import Object
-from understudy.kube.gates import unclaimed_pod_policy
+from understudy.kube.gates import pool_pod_policies
 
 _MOST_NAMED = 3
 
@@ -37,9 +37,7 @@ def count(observed: pool_pods.Observed, spec: FallbackPoolSpec, sized: Sized | N
     living = [pod for pod in observed.pods if kube_objects.alive(pod)]
     if spec.level.shared:
         held = _held(observed)
-        policy = observed.owned.get(
-            (unclaimed_pod_policy.RESOURCE.plural, names.held(kube_objects.name(observed.pool)))
-        )
+        policy = observed.owned.get((pool_pod_policies.RESOURCE.plural, names.held(kube_objects.name(observed.pool))))
         return Counts(
             replicas=len(held),
             desired=pool_size.wanted(spec, sized),

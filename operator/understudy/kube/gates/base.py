@@ -250,6 +250,10 @@ class GateKind(ABC):
     def companions(self, workload: str, reach: Reach) -> list[tuple[Resource, Object]]:
         """Return the other objects that the gate of a workload needs, each with its resource."""
 
+    @abstractmethod
+    def instance_rules(self, workload: str, reach: Reach) -> Object:
+        """Return the rules of a NetworkPolicy for instances that are not in control."""
+
     # -- How it is proven -----------------------------------------------------------------------------------------------
 
     @abstractmethod

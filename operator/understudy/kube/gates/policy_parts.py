@@ -35,6 +35,21 @@ def addresses(cidrs: Iterable[str]) -> list[Object]:
     return [{"ipBlock": {"cidr": cidr}} for cidr in cidrs]
 
 
+def of_workload(workload: str) -> Object:
+    """Return the requirement that a pod is an instance of a workload, or was an unclaimed pod of a shared pool when its labels were read.
+
+    Some networks read changed labels late: Cilium after 6 to 30 s. Until then, a pod that the workload has claimed is unclaimed for them.
+    An unclaimed pod can send nothing (pool_pod_policies), so a rule may have it as a peer. A policy that selects pods by this requirement
+    must also name them.
+    """
+    return {"key": names.WORKLOAD, "operator": "In", "values": [workload, names.UNCLAIMED]}
+
+
+def named(pods: Iterable[str]) -> Object:
+    """Return the requirement that a pod is one of these instances; without any, that it is none."""
+    return {"key": names.INSTANCE, "operator": "In", "values": list(pods) or [names.NOBODY]}
+
+
 def protectors(workload: str) -> Object:
     """Return the peer that selects the monitor and the discovery server of a workload, in its own namespace."""
     return {"podSelector": {"matchLabels": {names.MONITORED: workload}}}

@@ -8,7 +8,7 @@ from typing import get_args
 
 from understudy.api.kinds.robot_workload import Gate
 from understudy.kube.client import Object, Resource
-from understudy.kube.gates import unclaimed_pod_policy
+from understudy.kube.gates import pool_pod_policies
 from understudy.kube.gates.base import GateKind
 
 
@@ -28,12 +28,12 @@ DEFAULT: GateKind = KINDS[_FIELD.default]
 GATE_RESOURCES: tuple[Resource, ...] = tuple(dict.fromkeys(gate.resource for gate in KINDS.values()))
 """Resources of the gate objects of all kinds."""
 
-FENCING_RESOURCES: tuple[Resource, ...] = tuple(dict.fromkeys([*GATE_RESOURCES, unclaimed_pod_policy.RESOURCE]))
+FENCING_RESOURCES: tuple[Resource, ...] = tuple(dict.fromkeys([*GATE_RESOURCES, pool_pod_policies.RESOURCE]))
 """Resources of everything that keeps instances from a robot. The operator watches them."""
 
 
 OBJECT_KINDS: dict[str, Resource] = {gate.object_kind: gate.resource for gate in KINDS.values()} | {
-    unclaimed_pod_policy.KIND: unclaimed_pod_policy.RESOURCE
+    pool_pod_policies.KIND: pool_pod_policies.RESOURCE
 }
 """The same resources by the kind of their objects."""
 

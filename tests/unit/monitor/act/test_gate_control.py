@@ -247,7 +247,7 @@ def test_the_list_of_identities_is_bounded_and_an_invalid_one_is_ignored() -> No
 
 EDITS: list[Object] = [
     {"matchLabels": {names.INSTANCE: "w-2"}},
-    {"matchLabels": None},
+    {"matchExpressions": None},
     {"matchLabels": {"app": "other"}},
     {"matchExpressions": [{"key": "app", "operator": "Exists"}]},
 ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import time
 from collections.abc import AsyncIterator, Callable, Coroutine
 from dataclasses import replace
 from typing import Any
@@ -14,7 +15,8 @@ from tests.unit.monitor.cluster_objects import NAMESPACE, ClusterObjects, pod_of
 from understudy.api import names
 from understudy.failover.interfaces import Instance, NotAvailable
 from understudy.kube import watched_collection
-from understudy.kube.client import PODS, REPLICA_SETS, ApiError, Object
+from understudy.kube.client import NETWORK_POLICIES, PODS, REPLICA_SETS, ApiError, Object
+from understudy.kube.gates import pool_pod_policies
 from understudy.monitor.act.objects import pod_control
 from understudy.monitor.act.objects.pod_control import instance_of
 
@@ -189,6 +191,48 @@ async def test_a_refused_list_of_a_pool_is_a_strategy_that_is_not_available() ->
     found = objects(ApiError(403, "Forbidden", "no"))
     with pytest.raises(NotAvailable, match="FallbackPool spare: 403 Forbidden"):
         await found.pods.refresh_unclaimed("spare", part=True)
+
+
+CLAIMED = ("networkpolicies", NAMESPACE, "w-claimed")
+
+
+def with_a_pool(*, policy: bool = True) -> ClusterObjects:
+    """A workload with one unclaimed pod of a shared pool, of which a list was read."""
+    found = ClusterObjects()
+    found.put_settings(pools=[{"name": "spare", "readiness": "Uninitialized", "template_hash": ""}])
+    free = pod_of(Instance("spare-1", "u1", pool="spare", held=True, running=True, ready=True))
+    free["metadata"]["labels"][names.WORKLOAD] = names.UNCLAIMED
+    found.view.unclaimed("spare").items["spare-1"] = found.client.store(PODS, NAMESPACE, free)
+    if policy:
+        found.client.store(NETWORK_POLICIES, NAMESPACE, pool_pod_policies.claimed_pods("w", {"egress": [{}]}, []))
+    return found
+
+
+async def test_a_claimed_pod_is_named_in_the_policy_of_claimed_pods() -> None:
+    found = with_a_pool()
+    earlier = pod_of(Instance("spare-0", "u0", pool="spare", claim="uid-w/0", running=True))
+    earlier["metadata"]["annotations"][names.CLAIMED_AT] = str(int(time.time()) - 5)
+    old = pod_of(Instance("spare-00", "u00", pool="spare", claim="uid-w/00", running=True))
+    old["metadata"]["annotations"][names.CLAIMED_AT] = str(int(time.time()) - 100)
+    for item in (earlier, old):
+        found.view.pods.put(found.client.store(PODS, NAMESPACE, item))
+    (free,) = found.pods.unclaimed("spare")
+    await found.pods.claim(free, "uid-w/1")
+    assert found.client.items[CLAIMED]["spec"] == {
+        "podSelector": pool_pod_policies.claimed_selector("w", ["spare-0", "spare-1"]),
+        "egress": [{}],
+    }
+
+
+@pytest.mark.parametrize("status", [403, 404, 503])
+async def test_a_pod_is_claimed_although_it_cannot_be_named_in_that_policy(status: int) -> None:
+    """Such as by an operator of an earlier version, which makes no such policy."""
+    found = with_a_pool(policy=status != 404)
+    refused = ApiError(status, "Refused", "no")
+    found.client.failing = lambda method, name: refused if name == "w-claimed" and status != 404 else None
+    (free,) = found.pods.unclaimed("spare")
+    claimed = await found.pods.claim(free, "uid-w/1")
+    assert (claimed.claim, claimed.held) == ("uid-w/1", False)
 
 
 async def test_an_api_server_that_does_not_answer_a_list_is_asked_for_something_else(

@@ -92,6 +92,10 @@ class MuxGate(GateKind):
         """Return nothing."""
         return []
 
+    def instance_rules(self, workload: str, reach: Reach) -> Object:
+        """Return rules that allow everything, since no policy applies to instances."""
+        return {"policyTypes": ["Ingress", "Egress"], "ingress": [{}], "egress": [{}]}
+
     def secrets(self, workload: str) -> tuple[str, ...]:
         """Return the Secret with the token that monitor and mux share."""
         return (names.mux(workload),)

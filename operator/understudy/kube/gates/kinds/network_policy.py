@@ -22,7 +22,7 @@ from understudy.kube import selectors
 from understudy.kube.client import NETWORK_POLICIES, Object, Resource
 from understudy.kube.gates import pod_networks
 from understudy.kube.gates.base import GateKind, Reach
-from understudy.kube.gates.policy_parts import addresses, network_policy, ports, protectors
+from understudy.kube.gates.policy_parts import addresses, named, network_policy, of_workload, ports, protectors
 from understudy.kube.gates.probes import ProbeKeys, ProbeReceiver
 
 _DNS = (53, 5353)
@@ -48,32 +48,26 @@ class NetworkPolicyGate(GateKind):
         return f"The gate also admits standby {standby} (spec.gate.reflex)."
 
     def routing(self, workload: str, active: str, admitted: str = "") -> Object:
-        """Return merge patch fields of the pod selector. Each of its two forms removes the other."""
-        if active and admitted:
-            among = {"key": names.INSTANCE, "operator": "In", "values": [active, admitted]}
-            labels = {names.WORKLOAD: workload, names.INSTANCE: None}
-            return {"spec": {"podSelector": {"matchLabels": labels, "matchExpressions": [among]}}}
-        labels = {names.WORKLOAD: workload, names.INSTANCE: active or names.GATE_CLOSED}
-        return {"spec": {"podSelector": {"matchLabels": labels, "matchExpressions": None}}}
+        """Return merge patch fields of the pod selector. They remove the labels of another one, also of an earlier version."""
+        return {"spec": {"podSelector": {"matchLabels": None, **_selector(workload, active, admitted)}}}
 
     def let_through(self, gate: Object) -> tuple[str, ...]:
         """Return the names of the instances that the policy selects."""
         selector = gate["spec"].get("podSelector") or {}
-        values = [(selector.get("matchLabels") or {}).get(names.INSTANCE)]
+        values = [(selector.get("matchLabels") or {}).get(names.INSTANCE)]  # of an earlier version
         for expression in selector.get("matchExpressions") or []:
             if (expression["key"], expression["operator"]) == (names.INSTANCE, "In"):
                 values += expression["values"]
-        return tuple(value for value in values if value and value != names.GATE_CLOSED)
+        return tuple(value for value in values if value and value != names.NOBODY)
 
     def routing_repair(self, gate: Object, workload: str, active: str, admitted: str = "") -> Object:
         """Return merge patch fields of the pod selector, without what somebody added to it; empty if the selector is right."""
         selector = gate["spec"].get("podSelector") or {}
-        wanted: Object = self.routing(workload, active, admitted)["spec"]["podSelector"]
-        labels = {key: value for key, value in wanted["matchLabels"].items() if value}
-        present = (selector.get("matchLabels") or {}, selector.get("matchExpressions") or None)
-        if present == (labels, wanted["matchExpressions"]):
+        present = (selector.get("matchLabels") or {}, selector.get("matchExpressions") or [])
+        right: tuple[Object, Object] = ({}, _selector(workload, active, admitted)["matchExpressions"])
+        if present in (right, _of_earlier_versions(workload, active, admitted)):
             return {}
-        return {"spec": {"podSelector": wanted | {"matchLabels": dict.fromkeys(present[0]) | labels}}}
+        return self.routing(workload, active, admitted)
 
     def ungateable(self, template: Mapping[str, Any]) -> str:
         """Return why no policy applies to such pods, or not on each of their interfaces; empty if policies do."""
@@ -102,8 +96,7 @@ class NetworkPolicyGate(GateKind):
 
     def closed(self, workload: str, reach: Reach, *, epoch: int, fenced: int = 0) -> Object:
         """Return a policy that selects no pod."""
-        selector = {"matchLabels": {names.WORKLOAD: workload, names.INSTANCE: names.GATE_CLOSED}}
-        policy = network_policy(names.gate(workload), selector, _gated(workload, reach))
+        policy = network_policy(names.gate(workload), _selector(workload), _gated(workload, reach))
         record = {names.EPOCH: str(epoch), names.ACTIVE: "", names.ACTIVE_UID: "", names.RECOVERY: ""}
         record |= {names.FENCED: str(fenced)} if fenced else {}
         policy["metadata"]["annotations"] = record
@@ -118,10 +111,18 @@ class NetworkPolicyGate(GateKind):
 
     def companions(self, workload: str, reach: Reach) -> list[tuple[Resource, Object]]:
         """Return the policies of every instance."""
+        rules = self.instance_rules(workload, reach)
+        found = [network_policy(names.standby(workload), {"matchLabels": {names.WORKLOAD: workload}}, rules)]
+        if reach.reference:
+            found.append(network_policy(names.standby_reference(workload), dict(reach.reference), rules))
+        return [(NETWORK_POLICIES, policy) for policy in found]
+
+    def instance_rules(self, workload: str, reach: Reach) -> Object:
+        """Return rules that leave out the gated ports."""
         peers, first, last = _peers(workload, reach), *names.GATE_RANGE
         ungated = [ports("TCP"), ports("UDP", 1, first - 1), ports("UDP", last + 1)]
         application = [ports("TCP", 1, names.AGENT_PORT - 1), ports("TCP", names.AGENT_PORT + 1), ports("UDP")]
-        rules: Object = {
+        return {
             "policyTypes": ["Ingress", "Egress"],
             "ingress": [{"from": peers, "ports": application}, {"from": [protectors(workload)]}],
             "egress": [
@@ -133,16 +134,25 @@ class NetworkPolicyGate(GateKind):
                 ),
             ],
         }
-        found = [network_policy(names.standby(workload), {"matchLabels": {names.WORKLOAD: workload}}, rules)]
-        if reach.reference:
-            found.append(network_policy(names.standby_reference(workload), dict(reach.reference), rules))
-        return [(NETWORK_POLICIES, policy) for policy in found]
 
     async def proof(self) -> ProbeReceiver:
         """Receive the datagrams that the agents send to a gated port of the monitor's pod, and that are authentic."""
         receiver = ProbeReceiver(ProbeKeys())
         await receiver.listen(port=names.PROBE_PORT)
         return receiver
+
+
+def _selector(workload: str, active: str = "", admitted: str = "") -> Object:
+    """Return the selector of the gate object. Nobody is admitted to a closed gate."""
+    through = filter(None, (active, active and admitted))
+    return {"matchExpressions": [of_workload(workload), named(through)]}
+
+
+def _of_earlier_versions(workload: str, active: str, admitted: str) -> tuple[Object, list[Object]]:
+    """Return labels and expressions that a monitor of an earlier version writes. It would restore them, so they count as right."""
+    if active and admitted:
+        return {names.WORKLOAD: workload}, [named([active, admitted])]
+    return {names.WORKLOAD: workload, names.INSTANCE: active or names.NOBODY}, []
 
 
 def _gated(workload: str, reach: Reach) -> Object:

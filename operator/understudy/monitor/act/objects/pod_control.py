@@ -17,7 +17,8 @@ from understudy.api.whole_numbers import whole_number
 from understudy.failover.interfaces import ClaimLost, Instance, NotAvailable
 from understudy.kube import claims
 from understudy.kube.apply import controller_of, released
-from understudy.kube.client import EVICTION, FAILURES, PODS, REPLICA_SETS, ApiError, Client, Object
+from understudy.kube.client import EVICTION, FAILURES, NETWORK_POLICIES, PODS, REPLICA_SETS, ApiError, Client, Object
+from understudy.kube.gates import pool_pod_policies
 from understudy.kube.repeated_requests import TRY_WITHIN, answered
 from understudy.kube.watched_collection import any_changed
 from understudy.monitor.crash_points import CrashPoints
@@ -216,7 +217,25 @@ class PodControl:
         self._notices.add(PodClaimed("Won", time.monotonic() - started_at))
         self._view.pods.put(claimed)
         self._crash_points.step("after claim")
+        await self._connect(instance.name)
         return instance_of(claimed)
+
+    async def _connect(self, claimed: str) -> None:
+        """Name a claimed pod in the policy of claimed pods, for networks that read changed labels late.
+
+        Without an answer, or if it is refused, only such networks are late. The operator writes it too.
+        """
+        chosen = sorted({*claims.recent(self._view.all_pods(), time.time()), claimed})
+        body = {"spec": {"podSelector": pool_pod_policies.claimed_selector(self._view.workload, chosen)}}
+        try:
+            async with asyncio.timeout(TRY_WITHIN):
+                await self._client.patch(
+                    NETWORK_POLICIES, self._view.namespace, names.claimed(self._view.workload), body
+                )
+        except FAILURES as error:
+            _logger.warning(
+                "NetworkPolicy %s does not name %s yet: %r", names.claimed(self._view.workload), claimed, error
+            )
 
     async def retire(self, instance: Instance) -> None:
         """Delete a failed pod. If no pool provides standbys, its ReplicaSet is scaled to zero, so that it does not create a new pod."""

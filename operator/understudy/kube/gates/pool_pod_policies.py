@@ -1,10 +1,12 @@
-"""The network isolation of unclaimed pods, whatever the kind of the gates."""
+"""The network policies of the pods of shared pools, whatever the kind of the gates: of unclaimed pods, and of pods claimed just now."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from understudy.api import names
 from understudy.kube.client import NETWORK_POLICIES, Object
-from understudy.kube.gates.policy_parts import network_policy
+from understudy.kube.gates.policy_parts import named, network_policy, of_workload
 
 RESOURCE = NETWORK_POLICIES
 """Resource of the objects that isolate pods."""
@@ -33,3 +35,17 @@ def held_pods(pool: str, claimable: str) -> Object:
     )
     policy["metadata"]["annotations"] = {names.TEMPLATE_HASH: claimable}
     return policy
+
+
+def claimed_pods(workload: str, rules: Object, claimed: Sequence[str]) -> Object:
+    """Return the policy of pods that a workload has claimed just now: with it, they need no other label than they had before.
+
+    For a network that follows changes of labels late, such a pod is still unclaimed, and behind ``held_pods``. ``rules`` are those of an
+    instance that is not in control.
+    """
+    return network_policy(names.claimed(workload), claimed_selector(workload, claimed), rules)
+
+
+def claimed_selector(workload: str, claimed: Sequence[str]) -> Object:
+    """Return the selector of this policy."""
+    return {"matchExpressions": [of_workload(workload), named(claimed)]}
