@@ -11,11 +11,18 @@ import re
 GROUP = "understudy.dev"
 
 WORKLOAD = f"{GROUP}/workload"
-"""On every instance: the RobotWorkload whose robot it may control. All policies of the gate select by this label. On unclaimed pods of a
-shared pool it has the value UNCLAIMED."""
+"""On every instance: the RobotWorkload whose robot it may control. All policies of the gate select by this label. On pods of a shared pool
+it has the value UNCLAIMED, also after their claim: for some networks, other labels are another identity (see CLAIMED_BY)."""
 
 UNCLAIMED = ""
-"""Value of WORKLOAD on unclaimed pods. No workload has this name."""
+"""Value of WORKLOAD on pods of a shared pool, and of CLAIMED_BY on those that are unclaimed. No workload has this name."""
+
+CLAIMED_BY = f"annotation.{GROUP}/claimed-by"
+"""On pods of a shared pool: the RobotWorkload that has claimed the pod, or UNCLAIMED. It is the only label that a claim changes.
+
+Cilium makes identities of labels. If a label of a pod changes, it applies no change of a policy to that pod for up to 35 s. By default it
+ignores labels that begin with ``annotation`` (and some of Kubernetes). No policy selects by this label.
+"""
 
 INSTANCE = f"{GROUP}/instance"
 """On every instance: its own pod name, so that the gate can select exactly one instance."""
@@ -24,7 +31,7 @@ POOL = f"{GROUP}/pool"
 """On pods that belong to a FallbackPool."""
 
 HELD = f"{GROUP}/held"
-"""On unclaimed pods of an Uninitialized pool (value ``true``): their processes wait, and they may not send."""
+"""On pods of an Uninitialized pool (value ``true``): their processes wait, and they may not send, until CLAIMED_BY names a workload."""
 
 PART = f"{GROUP}/part"
 """On pods of an Uninitialized pool: the part of the pool that they belong to, so that a monitor can list only some of them."""

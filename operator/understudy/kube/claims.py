@@ -5,11 +5,10 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from understudy.api import names
 from understudy.api.base import API_VERSION
-from understudy.api.whole_numbers import whole_number
 from understudy.kube.apply import controller_of
 from understudy.kube.client import FAILURES, JSON, PODS, ApiError, Client, Object
 from understudy.kube.repeated_requests import RETRY_FIRST, RETRY_MOST, TRY_WITHIN, answered, unanswered
@@ -24,19 +23,10 @@ def part(key: str) -> str:
     return str(hashlib.sha256(key.encode()).digest()[0] % PARTS)
 
 
-FOLLOWED_WITHIN = 60.0
-"""Seconds after a claim within which every network has read the new labels of the pod. Cilium needs up to 35 s by default."""
-
-
-def recent(pods: Iterable[Object], now: float) -> dict[str, float]:
-    """Return the names of pods whose labels a network may not have read since their claim, each with when it has. In Unix seconds."""
-    found = {}
-    for pod in pods:
-        metadata = pod["metadata"]
-        claimed = whole_number((metadata.get("annotations") or {}).get(names.CLAIMED_AT, ""))
-        if claimed is not None and now < claimed + FOLLOWED_WITHIN and not unclaimed(pod):
-            found[metadata["name"]] = claimed + FOLLOWED_WITHIN
-    return found
+def claimed(pods: Iterable[Object]) -> list[str]:
+    """Return the names of claimed pods that the policies of a workload select by their names only."""
+    found = (pod["metadata"] for pod in pods)
+    return sorted(one["name"] for one in found if (one.get("labels") or {}).get(names.CLAIMED_BY))
 
 
 async def claim(client: Client, pod: Object, *, workload: str, workload_uid: str, claim: str) -> Object:
@@ -99,10 +89,28 @@ def pool_evidence(pod: Object) -> Object | None:
     return next((volume for volume in volumes if volume["name"] == names.TOKEN_VOLUME), None)
 
 
+def workload_of(labels: Mapping[str, str]) -> str:
+    """Return the workload whose instance a pod with these labels is; empty if it is none."""
+    return labels.get(names.CLAIMED_BY) or labels.get(names.WORKLOAD) or ""
+
+
+def instance_labels(pod: Object, workload: str) -> dict[str, str]:
+    """Return the labels of an instance of a workload that policies and watches select by. The pod may lack some of them."""
+    found = {names.INSTANCE: pod["metadata"]["name"]}
+    if {names.CLAIMED_BY, names.HELD} & (pod["metadata"].get("labels") or {}).keys():
+        return found | {names.CLAIMED_BY: workload, names.WORKLOAD: names.UNCLAIMED, names.HELD: "true"}
+    return found | {names.WORKLOAD: workload}
+
+
+def is_held(labels: Mapping[str, str]) -> bool:
+    """Whether a pod with these labels is of a shared pool, and no workload has claimed it."""
+    return labels.get(names.HELD) == "true" and not labels.get(names.CLAIMED_BY)
+
+
 def unclaimed(pod: Object) -> bool:
     """Whether a pod of a shared pool belongs to no workload and is not being deleted."""
     metadata = pod["metadata"]
-    return (metadata.get("labels") or {}).get(names.HELD) == "true" and not metadata.get("deletionTimestamp")
+    return is_held(metadata.get("labels") or {}) and not metadata.get("deletionTimestamp")
 
 
 def _same(fresh: Object, pod: Object) -> bool:
@@ -118,7 +126,7 @@ async def _write(client: Client, pod: Object, workload: str, workload_uid: str, 
         "metadata": {
             "uid": metadata["uid"],
             "resourceVersion": metadata["resourceVersion"],
-            "labels": {names.HELD: None, names.WORKLOAD: workload},
+            "labels": _claimed(metadata.get("labels") or {}, workload),
             "annotations": _annotations(claim),
             "ownerReferences": [_owner(workload, workload_uid)],
         }
@@ -134,8 +142,11 @@ async def _test_and_write(client: Client, pod: Object, workload: str, workload_u
     """
     metadata = pod["metadata"]
     body = [{"op": "test", "path": _path("labels", key), "value": value} for key, value in metadata["labels"].items()]
-    body.append({"op": "remove", "path": _path("labels", names.HELD)})
-    body.append({"op": "add", "path": _path("labels", names.WORKLOAD), "value": workload})
+    for key, value in _claimed(metadata["labels"], workload).items():
+        body.append(
+            {"op": "remove" if value is None else "add", "path": _path("labels", key)}
+            | ({"value": value} if value else {})
+        )
     for key, value in _annotations(claim).items():
         body.append({"op": "add", "path": _path("annotations", key), "value": value})
     body.append({"op": "add", "path": _path("ownerReferences"), "value": [_owner(workload, workload_uid)]})
@@ -143,6 +154,13 @@ async def _test_and_write(client: Client, pod: Object, workload: str, workload_u
     if made["metadata"].get("deletionTimestamp"):
         raise ApiError(404, "NotFound", f"pod {metadata['name']} is being deleted")
     return made
+
+
+def _claimed(labels: Mapping[str, str], workload: str) -> dict[str, str | None]:
+    """Return the change of the labels of a pod that is claimed. The pods of earlier versions lack CLAIMED_BY."""
+    if names.CLAIMED_BY in labels:
+        return {names.CLAIMED_BY: workload}
+    return {names.HELD: None, names.WORKLOAD: workload}
 
 
 def _path(*keys: str) -> str:

@@ -176,7 +176,9 @@ class TestEvictions:
             assert found is not None
             assert found["spec"]["minAvailable"] == 2
             assert found["spec"]["unhealthyPodEvictionPolicy"] == "AlwaysAllow"
-            assert found["spec"]["selector"] == {"matchLabels": {names.POOL: "spare", names.HELD: "true"}}
+            assert found["spec"]["selector"] == {
+                "matchLabels": {names.POOL: "spare", names.CLAIMED_BY: names.UNCLAIMED}
+            }
 
     def test_an_empty_pool_has_no_budget(self) -> None:
         assert self.budget(observe(spare(replicas=0))) is None

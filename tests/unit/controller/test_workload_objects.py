@@ -289,18 +289,22 @@ class TestClaimedPods:
     def test_a_workload_without_a_shared_pool_has_no_policy_of_claimed_pods(self) -> None:
         assert "w-claimed" not in applied(World(workload(), policy("hot"), hot()).plan(), "networkpolicies")
 
-    @pytest.mark.parametrize("age", [0.0, 59.0, 61.0])
-    def test_a_claimed_pod_is_named_until_every_network_has_read_its_labels(self, age: float) -> None:
+    def test_a_claimed_pod_is_named_as_long_as_it_exists(self) -> None:
         world = World(workload(), policy("spare"), spare())
-        claimed = claimed_pod("spare-1", of=spare(), by=world.workload)
-        claimed["metadata"]["annotations"][names.CLAIMED_AT] = str(int(world.now - age))
-        world.pods = [source_pod("w-a"), claimed]
-        plan = world.plan()
-        selector = applied(plan, "networkpolicies")["w-claimed"]["spec"]["podSelector"]
-        assert selector["matchExpressions"][1]["values"] == ([names.NOBODY] if age > 60 else ["spare-1"])
-        if age < 60:
-            assert plan.again_after is not None
-            assert plan.again_after <= 61 - age
+        world.pods = [source_pod("w-a"), claimed_pod("spare-1", of=spare(), by=world.workload)]
+        assert self.named(world) == ["spare-1"]
+        world.pods = [source_pod("w-a")]
+        assert self.named(world) == [names.NOBODY]
+
+    def test_a_pod_that_an_earlier_version_has_claimed_has_the_label_of_the_workload(self) -> None:
+        world = World(workload(), policy("spare"), spare())
+        world.pods = [standby_pod("spare-1", of=world.workload, pool="spare")]
+        assert self.named(world) == [names.NOBODY]
+
+    def named(self, world: World) -> list[str]:
+        selector = applied(world.plan(), "networkpolicies")["w-claimed"]["spec"]["podSelector"]
+        found: list[str] = selector["matchExpressions"][1]["values"]
+        return found
 
     def test_the_policy_of_claimed_pods_is_maintained_after_its_pool_is_no_longer_used(self) -> None:
         world = World(workload(), policy("spare"), spare())

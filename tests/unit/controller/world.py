@@ -171,6 +171,7 @@ def held_pod(name: str, *, of: Object, template_hash: str = "", **more: Any) -> 
         names.POOL: kube_objects.name(of),
         names.HELD: "true",
         names.WORKLOAD: names.UNCLAIMED,
+        names.CLAIMED_BY: names.UNCLAIMED,
         names.INSTANCE: name,
         names.TEMPLATE_HASH: template_hash,
     }
@@ -182,7 +183,9 @@ def claimed_pod(name: str, *, of: Object, by: Object, **more: Any) -> Object:
     labels = {
         names.COMPONENT: "instance",
         names.POOL: kube_objects.name(of),
-        names.WORKLOAD: kube_objects.name(by),
+        names.HELD: "true",
+        names.WORKLOAD: names.UNCLAIMED,
+        names.CLAIMED_BY: kube_objects.name(by),
         names.INSTANCE: name,
     }
     return pod(

@@ -34,6 +34,7 @@ from understudy.controller.runtime import process as running
 from understudy.controller.runtime.workers import Operator
 from understudy.failover.journal import Journal
 from understudy.failover.progress import PodIdentity
+from understudy.kube import claims
 from understudy.kube.client import NODES, PODS, ApiError, Client, Expired, Object, Resource
 from understudy.kube.events import Recorder
 from understudy.kube.gates import registry
@@ -253,9 +254,9 @@ class Monitor:
         pods = server.items["pods"].values()
         labels = {pod["metadata"]["name"]: pod["metadata"].get("labels") or {} for pod in pods}
         found = {
-            p["metadata"]["name"]: p for p in pods if labels[p["metadata"]["name"]].get(names.WORKLOAD) == self.workload
+            p["metadata"]["name"]: p for p in pods if claims.workload_of(labels[p["metadata"]["name"]]) == self.workload
         }
-        yield from _differences(str(self.process), view.pods.items, found)
+        yield from _differences(str(self.process), {p["metadata"]["name"]: p for p in view.all_pods()}, found)
         gate = gates.find(server, self.workload)
         found = {names.gate(self.workload): gate} if gate is not None else {}
         yield from _differences(str(self.process), view.gates.items, found)

@@ -20,6 +20,7 @@ from understudy.controller.observed import kube_objects, leaving_nodes
 from understudy.controller.pods import pool_size
 from understudy.failover import progress as recoveries
 from understudy.failover.progress import Committed
+from understudy.kube import claims
 from understudy.kube.apply import controller_of
 from understudy.kube.client import Object
 from understudy.kube.gates.base import GateRecord
@@ -106,7 +107,9 @@ class Invariants:
 
     def tampered(self, pod: Object) -> None:
         """Somebody edits labels of a pod."""
-        wanted = {key: value for key, value in _labels(pod).items() if key in (names.WORKLOAD, names.POOL)}
+        wanted = {
+            key: value for key, value in _labels(pod).items() if key in (names.WORKLOAD, names.CLAIMED_BY, names.POOL)
+        }
         self._tampered.setdefault(pod["metadata"]["uid"], wanted | {names.INSTANCE: _name(pod)})
 
     def _is_tampered(self, uid: str) -> bool:
@@ -138,19 +141,19 @@ class Invariants:
         if old is None:
             return
         before, after = _labels(old), _labels(new)
-        if names.HELD not in before and names.HELD in after:
+        if claims.is_held(after) and not claims.is_held(before):
             self._broken(f"pod {_name(new)} was used and is free again")
         was, now = (item["metadata"].get("annotations") or {} for item in (old, new))
         if names.CLAIM not in was and names.CLAIM in now:
             self.claims += 1
         if names.CLAIM in was and was[names.CLAIM] != now.get(names.CLAIM):
             self._broken(f"pod {_name(new)} was claimed by {was[names.CLAIM]} and then by {now.get(names.CLAIM)}")
-        if names.WORKLOAD in before and before[names.WORKLOAD] != after.get(names.WORKLOAD):
-            self._broken(f"pod {_name(new)} was of {before[names.WORKLOAD]} and then of {after.get(names.WORKLOAD)}")
-        is_edited = before.get(names.WORKLOAD) == after.get(names.WORKLOAD)  # by somebody, before this write
-        is_other = controllers and controllers[0]["name"] != after.get(names.WORKLOAD)
+        if (was_of := claims.workload_of(before)) and was_of != claims.workload_of(after):
+            self._broken(f"pod {_name(new)} was of {was_of} and then of {claims.workload_of(after)}")
+        is_edited = claims.workload_of(before) == claims.workload_of(after)  # by somebody, before this write
+        is_other = controllers and controllers[0]["name"] != claims.workload_of(after)
         if names.CLAIM in now and is_other and not (names.CLAIM in was and is_edited):
-            self._broken(f"pod {_name(new)} is owned by {controllers[0]['name']} and of {after.get(names.WORKLOAD)}")
+            self._broken(f"pod {_name(new)} is owned by {controllers[0]['name']} and of {claims.workload_of(after)}")
 
     def _gate(self, old: Object | None, new: Object) -> None:
         """Each commit is of the next epoch, no other write lowers it, and lets exactly the pod through that it names."""
@@ -220,7 +223,7 @@ class Invariants:
             labels = _labels(pod)
             if pod["metadata"]["uid"] in self._tampered:
                 continue
-            if labels.get(names.WORKLOAD) == workload and labels.get(names.INSTANCE) in through:
+            if claims.workload_of(labels) == workload and labels.get(names.INSTANCE) in through:
                 found.append(_name(pod))
         return found
 
@@ -230,12 +233,12 @@ class Invariants:
         if not self._leads(by):
             self._stragglers.add(pod["metadata"]["uid"])
         labels = _labels(pod)
-        pool, workload = labels[names.POOL], labels.get(names.WORKLOAD)
+        pool, workload = labels[names.POOL], claims.workload_of(labels)
         same = [
             other
             for other in self._server.items["pods"].values()
             if _labels(other).get(names.POOL) == pool
-            and _labels(other).get(names.WORKLOAD) == workload
+            and claims.workload_of(_labels(other)) == workload
             and _labels(other)[names.TEMPLATE_HASH] == labels[names.TEMPLATE_HASH]
             and not _claimed(other)
             and _living(other)
@@ -244,9 +247,9 @@ class Invariants:
         wanted = _size(self._server.items["fallbackpools"][(pod["metadata"]["namespace"], pool)])
         of_late = [size for since, size in self._sizes.get(pool, []) if self._robots.now - since < KNOWN]
         most = max([wanted, *of_late])
-        if workload is not None and self._refers(pod["metadata"]["namespace"], workload):
+        if workload and self._refers(pod["metadata"]["namespace"], workload):
             most += 1  # what the referred controller makes is no standby, so one in control doesn't count
-        elif workload is not None and (
+        elif workload and (
             names.REPLACES in (pod["metadata"].get("annotations") or {})
             or any(
                 self._is_outdated(other, deleted=True) or (self._is_of(workload, other) and not self._stays(other))
@@ -284,8 +287,8 @@ class Invariants:
     def started(self, workload: str, uid: str, place: tuple[str, str]) -> None:
         """A monitor starts the processes of a pod: it must be the monitor's own."""
         pod = self._server.get("pods", place)
-        if pod is not None and pod["metadata"]["uid"] == uid and _labels(pod).get(names.WORKLOAD) != workload:
-            self._broken(f"{workload} starts {place[1]}, which is of {_labels(pod).get(names.WORKLOAD, 'nobody')}")
+        if pod is not None and pod["metadata"]["uid"] == uid and claims.workload_of(_labels(pod)) != workload:
+            self._broken(f"{workload} starts {place[1]}, which is of {claims.workload_of(_labels(pod)) or 'nobody'}")
 
     # -- once all is calm -------------------------------------------------------------------------------------------
 
@@ -317,7 +320,7 @@ class Invariants:
             mine = [pod for pod in pods if _labels(pod).get(names.POOL) == pool and _living(pod) and not _claimed(pod)]
             spec = item["spec"]
             if spec["readiness"] == "Uninitialized":
-                free = [pod for pod in mine if names.HELD in _labels(pod)]
+                free = [pod for pod in mine if claims.is_held(_labels(pod))]
                 if len(free) != pool_size.size(item):
                     yield f"pool {pool} has {len(free)} free pods instead of {pool_size.size(item)}"
                 yield from (f"pod {_name(pod)} isn't ready" for pod in free if not kube_objects.ready(pod))
@@ -325,14 +328,14 @@ class Invariants:
                 continue
             yield from self._misjudged(item, len(self._waiting(mine)))
             for namespace, workload in sorted(self._server.items["robotworkloads"]):
-                standing = [pod for pod in mine if _labels(pod).get(names.WORKLOAD) == workload]
+                standing = [pod for pod in mine if claims.workload_of(_labels(pod)) == workload]
                 wanted = spec["perWorkload"]
                 if self._refers(namespace, workload):
                     wanted += sum(pod["metadata"]["uid"] in self._in_control() for pod in standing)
                 # Where one of a new template never gets up, the one before it stays; and where that is the workload's own, one more.
                 if any(self._is_of(workload, pod) and not kube_objects.ready(pod) for pod in self._waiting(mine)):
                     wanted = max(wanted, min(len(standing), wanted + 1))
-                waiting = [pod for pod in self._waiting(mine) if _labels(pod).get(names.WORKLOAD) == workload]
+                waiting = [pod for pod in self._waiting(mine) if claims.workload_of(_labels(pod)) == workload]
                 beside = [pod for pod in waiting if leaving_nodes.of(pod) in self._driven_from(workload)]
                 if any(self._is_of(workload, pod) for pod in beside):
                     # A standby elsewhere stays beside it: the next own pod may be placed there again.
@@ -351,7 +354,7 @@ class Invariants:
         """The node of a workload's active instance."""
         in_control, pods = self._in_control(), self._server.items["pods"].values()
         found = (pod for pod in pods if pod["metadata"]["uid"] in in_control)
-        return {leaving_nodes.of(pod) for pod in found if _labels(pod).get(names.WORKLOAD) == workload}
+        return {leaving_nodes.of(pod) for pod in found if claims.workload_of(_labels(pod)) == workload}
 
     def _could_move(self, standbys: Sequence[Object]) -> bool:
         """Whether another node accepts one of these standbys on the active instance's node, and none was tried in vain."""
@@ -372,7 +375,7 @@ class Invariants:
 
     def _is_of(self, workload: str, pod: Object) -> bool:
         """Whether a workload's own controller has made a pod."""
-        return _labels(pod).get(names.WORKLOAD) == workload and _labels(pod).get(names.SOURCE) == "workload"
+        return claims.workload_of(_labels(pod)) == workload and _labels(pod).get(names.SOURCE) == "workload"
 
     def _stays(self, pod: Object) -> bool:
         """Whether no operator may take a pod's node for one that is to be emptied."""
@@ -393,14 +396,14 @@ class Invariants:
     def _waiting(self, made: Sequence[Object]) -> list[Object]:
         """The pods that wait: those that a pool made, and those that its workloads' own controllers made since one of it drives."""
         in_control = self._in_control()
-        driven = {_labels(pod).get(names.WORKLOAD, "") for pod in made if pod["metadata"]["uid"] in in_control}
+        driven = {claims.workload_of(_labels(pod)) for pod in made if pod["metadata"]["uid"] in in_control}
         own = [
             pod
             for (namespace, _), pod in self._server.items["pods"].items()
-            if _labels(pod).get(names.WORKLOAD) in driven
+            if claims.workload_of(_labels(pod)) in driven
             and _labels(pod).get(names.SOURCE) == "workload"
             and _living(pod)
-            if not self._refers(namespace, _labels(pod)[names.WORKLOAD])
+            if not self._refers(namespace, claims.workload_of(_labels(pod)))
         ]
         return [pod for pod in made if pod["metadata"]["uid"] not in in_control] + own
 
@@ -430,7 +433,7 @@ class Invariants:
             owner = controller_of(pod)
             if leaving(pod):
                 yield f"pod {_name(pod)} is on its way out"
-            elif pod["metadata"]["uid"] in in_control or names.HELD in _labels(pod):
+            elif pod["metadata"]["uid"] in in_control or claims.is_held(_labels(pod)):
                 continue
             elif pod["metadata"]["uid"] in self.failed and _living(pod):
                 yield f"pod {_name(pod)} has failed in control, and nobody deletes it"

@@ -19,6 +19,7 @@ from tests.unit.interleavings.scheduling import Process, VirtualLoop
 from understudy.agent.restoration.task_goals import TaskGoals
 from understudy.api import names
 from understudy.api.protocol.kept_state import KeptState
+from understudy.kube import claims
 from understudy.kube.apply import controller_of
 from understudy.kube.client import Object
 
@@ -220,12 +221,12 @@ class Robots:
             name=place[1],
             place=place,
             node=node,
-            robot=labels.get(names.WORKLOAD) or labels.get(REFERRED, ""),
-            held=labels.get(names.HELD) == "true",
+            robot=claims.workload_of(labels) or labels.get(REFERRED, ""),
+            held=claims.is_held(labels),
             ip=f"10.0.{self._addresses // 250}.{self._addresses % 250 + 1}",
             broken=(broken := self.choices.random() < self.luck.broken),
             harmed=broken or self.nodes.is_late(node),
-            owner=labels.get(names.WORKLOAD, ""),
+            owner=claims.workload_of(labels),
             secret=_secret(pod),
             phase=self.choices.random(),
         )
@@ -546,10 +547,10 @@ class Robots:
             return found.sends  # no policy holds back what isn't there
         pod = self.server.get("pods", found.place)
         labels = _labels(pod) if pod is not None else {}
-        if names.WORKLOAD not in labels and REFERRED not in labels:
+        if not {names.WORKLOAD, names.HELD, REFERRED} & labels.keys():
             return True  # no policy selects it
         allowed = self.nodes.let_through(found.node, robot, allowed)
-        return labels.get(names.WORKLOAD) == robot and labels.get(names.INSTANCE) in allowed
+        return labels.get(names.WORKLOAD) in (robot, names.UNCLAIMED) and labels.get(names.INSTANCE) in allowed
 
     async def wait(self, robot: str) -> None:
         """Wait until what reaches a robot may have changed."""

@@ -26,6 +26,7 @@ from understudy.controller.desired import monitor_deployment
 from understudy.controller.observed import kube_objects, ownership
 from understudy.controller.plan import Create
 from understudy.controller.pods import claim_tokens
+from understudy.kube import claims
 from understudy.kube.apply import controller_of
 from understudy.kube.client import Object
 
@@ -130,7 +131,7 @@ class Deleting(Simulation):
                     self._broken(f"{by} deletes the token of {pod['metadata']['name']}, which is claimed")
         if plural == "roles" and old is not None and new is not None:
             for pod in self._commanded():
-                if new["metadata"]["name"] == names.monitor(_labels(pod)[names.WORKLOAD]) and "spare" not in (
+                if new["metadata"]["name"] == names.monitor(claims.workload_of(_labels(pod))) and "spare" not in (
                     monitor_deployment.commanded(new)
                 ):
                     self._broken(f"{by} takes away the right to command {pod['metadata']['name']}")
@@ -149,7 +150,7 @@ class Deleting(Simulation):
         if secret is not None and secret["metadata"].get("ownerReferences"):
             yield "the Secret is somebody's"
         for pod in claimed:
-            workload = _labels(pod)[names.WORKLOAD]
+            workload = claims.workload_of(_labels(pod))
             if "spare" not in monitor_deployment.commanded(
                 self.server.get("roles", (NAMESPACE, names.monitor(workload)))
             ):

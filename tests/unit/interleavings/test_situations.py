@@ -21,6 +21,7 @@ from tests.unit.interleavings.simulation import Simulation
 from understudy.api import names
 from understudy.api.protocol.monitor_settings import WorkloadSettings
 from understudy.controller.observed import kube_objects
+from understudy.kube import claims
 from understudy.kube.client import Object
 from understudy.kube.gates.base import GateRecord
 from understudy.monitor.observe.robot.context_detection import SituationState
@@ -43,7 +44,7 @@ class Settled(Invariants):
         pods = [pod for pod in self._server.items["pods"].values() if _labels(pod).get(names.POOL) == "hot"]
         most: int = self._server.items["fallbackpools"][(NAMESPACE, "hot")]["spec"]["perWorkload"]
         for _, workload in sorted(self._server.items["robotworkloads"]):
-            mine = [pod for pod in pods if _living(pod) and _labels(pod).get(names.WORKLOAD) == workload]
+            mine = [pod for pod in pods if _living(pod) and claims.workload_of(_labels(pod)) == workload]
             waiting = [pod for pod in mine if pod["metadata"]["uid"] not in self._in_control()]
             wanted = most if workload in self.busy else 0
             # Where one of a new template never gets up, the one before it stays.
@@ -89,7 +90,7 @@ class Situated(Simulation):
 
     def _let_go(self, pod: Object, by: str) -> None:
         """No standby that could take over is removed while the monitor counts on it, unless there is another one."""
-        workload = _labels(pod)[names.WORKLOAD]
+        workload = claims.workload_of(_labels(pod))
         found = self.robots.running.get(pod["metadata"]["uid"])
         configmap = self.server.get("configmaps", (NAMESPACE, names.settings(workload)))
         if found is None or not found.stands_by or configmap is None:
@@ -99,7 +100,7 @@ class Situated(Simulation):
             one
             for one in self.server.items["pods"].values()
             if _labels(one).get(names.POOL) == "hot"
-            and _labels(one).get(names.WORKLOAD) == workload
+            and claims.workload_of(_labels(one)) == workload
             and one["metadata"]["uid"] != found.uid
             and kube_objects.ready(one)
         ]

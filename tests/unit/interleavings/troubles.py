@@ -69,7 +69,7 @@ FAILURES = ("freezes", "crashes", "fails", "deleted", "deleted by force", "stops
 WATCHED = ("pods", "gates", "robotworkloads")
 """What a monitor learns from watches that may be half-open."""
 
-OURS = (names.WORKLOAD, names.INSTANCE, names.POOL, names.COMPONENT)
+OURS = (names.WORKLOAD, names.INSTANCE, names.POOL, names.COMPONENT, names.CLAIMED_BY, names.HELD)
 """Labels of instances."""
 
 STEPS = (-60.0, -5.0, -0.7, 0.7, 5.0, 60.0)
@@ -388,7 +388,7 @@ class Troubles(SimulatedCluster):
         edits += [{names.INSTANCE: active.name}] if active is not None else []
         owner = apply.controller_of(pod)
         if owner is not None and owner["kind"] == "RobotWorkload":  # others release a pod whose labels have changed
-            edits += [{names.WORKLOAD: None}, {names.POOL: None}, dict.fromkeys(OURS)]
+            edits += [{names.WORKLOAD: None}, {names.CLAIMED_BY: None}, {names.POOL: None}, dict.fromkeys(OURS)]
         edit = self.choices.choice(edits)
         self.note(f"somebody edits labels of {running.name}: {edit}")
         running.harmed = True

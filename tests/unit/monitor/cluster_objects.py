@@ -75,7 +75,8 @@ def pod_of(instance: Instance, workload: str = "w") -> Object:
     """Return the pod that a monitor sees as this instance (:func:`instance_of`)."""
     labels = {names.WORKLOAD: workload, names.INSTANCE: instance.name}
     labels |= {names.POOL: instance.pool} if instance.pool else {}
-    labels |= {names.HELD: "true"} if instance.held else {}
+    if instance.held:
+        labels |= {names.HELD: "true", names.WORKLOAD: names.UNCLAIMED, names.CLAIMED_BY: names.UNCLAIMED}
     labels |= {names.TEMPLATE_HASH: instance.template_hash} if instance.template_hash else {}
     metadata: Object = {"name": instance.name, "uid": instance.uid, "labels": labels}
     metadata |= {"annotations": {names.CLAIM: instance.claim}} if instance.claim else {}

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 from understudy.api import names
 from understudy.api.quantities import amount
 from understudy.cli.common.robots import Robot
+from understudy.kube import claims
 
 ROLES = {
     "control": "active instance",
@@ -65,7 +66,8 @@ def shares(robots: Sequence[Robot], pods: Iterable[Mapping[str, Any]]) -> list[S
         labels, namespace = metadata.get("labels") or {}, metadata["namespace"]
         if metadata.get("deletionTimestamp") or pod.get("status", {}).get("phase") in ("Succeeded", "Failed"):
             continue
-        if whose := labels.get(names.WORKLOAD):
+        whose: str | None
+        if whose := claims.workload_of(labels):
             role = "control" if (namespace, metadata["name"]) in active else "standby"
         elif whose := labels.get(names.MONITORED):
             role = "monitor" if labels.get(names.COMPONENT) == "monitor" else "discovery"

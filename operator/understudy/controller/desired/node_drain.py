@@ -103,7 +103,7 @@ def budget(workload: str, active: Object) -> Object:
     Drain tools then retry. An instance that is not ready does not wait, because an unhealthy instance fails over
     anyway.
     """
-    chosen = {names.WORKLOAD: workload, names.INSTANCE: kube_objects.name(active)}
+    chosen = {names.INSTANCE: kube_objects.name(active)}
     return pool_evictions.disruption_budget(names.in_control(workload), 1, chosen)
 
 

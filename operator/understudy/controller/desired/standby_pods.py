@@ -228,8 +228,7 @@ def relabelled(observed: Observed, workload_plan: WorkloadPlan) -> Iterator[Patc
             continue
         wanted = {
             names.COMPONENT: "instance",
-            names.WORKLOAD: kube_objects.name(workload),
-            names.INSTANCE: kube_objects.name(pod),
+            **claims.instance_labels(pod, kube_objects.name(workload)),
         }
         if released and observed.reference is None and names.POOL not in kube_objects.labels(pod):
             # The ReplicaSet then adopts the pod again, and deletes the newer pod if it has two.

@@ -178,16 +178,15 @@ def _gate(made: Plan, observed: Observed, spec: RobotWorkloadSpec, images: Image
 
 
 def _connect_claimed(made: Plan, observed: Observed, workload_plan: WorkloadPlan, spec: RobotWorkloadSpec) -> None:
-    """Maintain the policy of pods that the workload has just claimed. The monitor names a pod there as soon as it has claimed it."""
+    """Maintain the policy of the pods that the workload has claimed. The monitor names a pod there as soon as it has claimed it."""
     name = kube_objects.name(observed.workload)
     is_there = (NETWORK_POLICIES.plural, names.claimed(name)) in observed.owned
     if not is_there and not _commanded(observed, workload_plan):
         return
-    recent = claims.recent(observed.pods, observed.now)
-    if recent:
-        made.later(min(recent.values()) - observed.now)
     rules = registry.of(observed.workload).instance_rules(name, control_plane_policies.reach(observed, spec))
-    made.writes.append(_ours(observed, NETWORK_POLICIES, pool_pod_policies.claimed_pods(name, rules, sorted(recent))))
+    made.writes.append(
+        _ours(observed, NETWORK_POLICIES, pool_pod_policies.claimed_pods(name, rules, claims.claimed(observed.pods)))
+    )
 
 
 def _hold(made: Plan, observed: Observed, workload_plan: WorkloadPlan) -> None:

@@ -84,7 +84,7 @@ def pools_of(pods: Sequence[Object]) -> set[str]:
 
 def claimable(pod: Object) -> bool:
     """Whether a pod of a shared pool can still be claimed, or was claimed but the claim was not observed yet."""
-    return names.HELD in kube_objects.labels(pod) and kube_objects.alive(pod)
+    return claims.is_held(kube_objects.labels(pod)) and kube_objects.alive(pod)
 
 
 def _is_claimed(pod: Object) -> bool:
@@ -98,7 +98,7 @@ def _is_claimed(pod: Object) -> bool:
 def _is_commanded(pod: Object, workloads: Mapping[str, Object]) -> bool:
     """Whether a pod was claimed and has a monitor. The pods of a deleted workload are deleted too."""
     return _is_claimed(pod) and (
-        not kube_objects.deleted(pod) or kube_objects.labels(pod).get(names.WORKLOAD) in workloads
+        not kube_objects.deleted(pod) or claims.workload_of(kube_objects.labels(pod)) in workloads
     )
 
 

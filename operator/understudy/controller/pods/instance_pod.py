@@ -230,7 +230,7 @@ def _labels(recipe: Recipe) -> dict[str, str]:
     if recipe.pool:
         labels[names.POOL] = recipe.pool
     if recipe.held:
-        labels |= {names.HELD: "true", names.WORKLOAD: names.UNCLAIMED}
+        labels |= {names.HELD: "true", names.WORKLOAD: names.UNCLAIMED, names.CLAIMED_BY: names.UNCLAIMED}
     if not recipe.pool:
         labels[names.SOURCE] = "workload"
     return labels

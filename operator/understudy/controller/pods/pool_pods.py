@@ -16,7 +16,7 @@ from understudy.controller.pods import claim_tokens, instance_pod, pod_counts, p
 from understudy.controller.pods.pool_size import Sized
 from understudy.failover.pool_queue import Waiter, in_order
 from understudy.failover.progress import waiter
-from understudy.kube import selectors
+from understudy.kube import claims, selectors
 from understudy.kube.client import DISRUPTION_BUDGETS, PODS, Object
 from understudy.kube.gates import pool_pod_policies
 
@@ -87,7 +87,7 @@ def unclaimed(pool: Object, pods: Sequence[Object]) -> list[Object]:
     return [
         pod
         for pod in pods
-        if kube_objects.labels(pod).get(names.HELD) == "true" and ownership.controls(kube_objects.uid(pool), pod)
+        if claims.is_held(kube_objects.labels(pod)) and ownership.controls(kube_objects.uid(pool), pod)
     ]
 
 
@@ -290,7 +290,7 @@ def claimable_now(held: Sequence[Object], policy: Object | None) -> list[Object]
 
 def is_claimable(pod: Object, allowed: str) -> bool:
     """Whether a pod of a shared pool is held, ready and of the template with the hash ``allowed`` (empty for any)."""
-    held = kube_objects.labels(pod).get(names.HELD) == "true"
+    held = claims.is_held(kube_objects.labels(pod))
     return held and kube_objects.ready(pod) and (not allowed or pod_counts.hash_of(pod) == allowed)
 
 

@@ -22,6 +22,7 @@ from understudy.controller.observed import (
 from understudy.controller.pods import pool_pods
 from understudy.controller.reconcile.object_store import ObservedChange, Store
 from understudy.controller.status import storm_detection
+from understudy.kube import claims
 from understudy.kube.apply import controller_of, released
 from understudy.kube.client import (
     CONFIG_MAPS,
@@ -52,7 +53,7 @@ class Key(NamedTuple):
 _PLURALS = {"RobotWorkload": WORKLOADS.plural, "FallbackPool": POOLS.plural}
 
 
-_RESTORED = (names.COMPONENT, names.WORKLOAD, names.INSTANCE, names.POOL)
+_RESTORED = (names.COMPONENT, names.WORKLOAD, names.INSTANCE, names.POOL, names.CLAIMED_BY)
 """Labels of an instance that are restored: by the first three, the policies of the gate select."""
 
 
@@ -148,7 +149,9 @@ def _is_claim(change: ObservedChange, plenty: Collection[str]) -> bool:
         return False
     before = kube_objects.labels(change.old)
     return (
-        names.HELD in before and names.CLAIM in kube_objects.notes(change.new) and before.get(names.POOL, "") in plenty
+        claims.is_held(before)
+        and names.CLAIM in kube_objects.notes(change.new)
+        and before.get(names.POOL, "") in plenty
     )
 
 
@@ -242,9 +245,10 @@ def _after_pod(change: ObservedChange, store: Store, namespace: str, plenty: Col
         if item is None:
             continue
         labels = kube_objects.labels(item)
-        for label, plural in ((names.WORKLOAD, WORKLOADS), (names.MONITORED, WORKLOADS), (names.POOL, POOLS)):
-            if name := labels.get(label):
-                yield Key(plural.plural, namespace, name)
+        workloads = (claims.workload_of(labels), labels.get(names.MONITORED))
+        yield from (Key(WORKLOADS.plural, namespace, name) for name in workloads if name)
+        if pool := labels.get(names.POOL):
+            yield Key(POOLS.plural, namespace, pool)
         # Somebody may have removed the labels.
         if ownership.is_understudys(item) and (owner := controller_of(item)) is not None:
             yield Key(_PLURALS[owner["kind"]], namespace, owner["name"])
@@ -252,7 +256,7 @@ def _after_pod(change: ObservedChange, store: Store, namespace: str, plenty: Col
             yield Key(WORKLOADS.plural, namespace, workload)
         if labels.get(names.SOURCE) == "workload":
             yield from _stood_in_for(labels.get(names.WORKLOAD, ""), store, namespace)
-        if names.HELD in labels and labels.get(names.POOL, "") not in plenty:
+        if claims.is_held(labels) and labels.get(names.POOL, "") not in plenty:
             yield from _pool_users(labels.get(names.POOL, ""), store, namespace)
 
 
@@ -271,7 +275,9 @@ def _plenty(change: ObservedChange, store: Store) -> Collection[str]:
     """Return the shared pools that hold or held this pod and have enough other claimable pods."""
     if change.resource.plural != PODS.plural:
         return ()
-    known = [item for item in (change.old, change.new) if item is not None and names.HELD in kube_objects.labels(item)]
+    known = [
+        item for item in (change.old, change.new) if item is not None and claims.is_held(kube_objects.labels(item))
+    ]
     # The pool before and after the change is usually the same one, so this asks once per pool.
     held = {kube_objects.labels(item).get(names.POOL, ""): item for item in known}
     return [pool for pool, item in held.items() if _has_plenty(pool, item, store, item["metadata"]["namespace"])]
@@ -326,8 +332,8 @@ def _after_node(change: ObservedChange, store: Store) -> Iterator[Key]:
         if leaving_nodes.of(pod) not in places:
             continue
         labels, namespace = kube_objects.labels(pod), pod["metadata"]["namespace"]
-        for label, plural in ((names.WORKLOAD, WORKLOADS), (names.POOL, POOLS)):
-            if name := labels.get(label):
+        for plural, name in ((WORKLOADS, claims.workload_of(labels)), (POOLS, labels.get(names.POOL))):
+            if name:
                 yield Key(plural.plural, namespace, name)
         if labels.get(names.SOURCE) == "workload":
             yield from _stood_in_for(labels.get(names.WORKLOAD, ""), store, namespace)
@@ -341,7 +347,7 @@ def _sharing_a_node(store: Store) -> Iterator[Key]:
     found: set[tuple[str, str, str]] = set()
     for pod in store.all(PODS):
         labels, place = kube_objects.labels(pod), leaving_nodes.of(pod)
-        workload = labels.get(names.WORKLOAD) or labels.get(names.MONITORED)
+        workload = claims.workload_of(labels) or labels.get(names.MONITORED)
         if workload and place:
             namespace = pod["metadata"]["namespace"]
             if (namespace, workload, place) in found:

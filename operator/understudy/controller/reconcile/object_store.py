@@ -187,9 +187,11 @@ def _keys(resource: Resource, item: Object) -> list[Index]:
     elif resource.plural == PODS.plural and (workload := released(item)):
         found.append(("released", namespace, workload))
     labels = metadata.get("labels") or {}
+    if workload := claims.workload_of(labels):
+        found.append(("label", resource.plural, namespace, names.WORKLOAD, workload))
     found += [
         ("label", resource.plural, namespace, label, labels[label])
-        for label in (names.WORKLOAD, names.POOL, names.MONITORED)
+        for label in (names.POOL, names.MONITORED)
         if label in labels
     ]
     return found

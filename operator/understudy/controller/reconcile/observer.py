@@ -26,7 +26,7 @@ from understudy.controller.reconcile.change_index import Key
 from understudy.controller.reconcile.expectations import Expectations
 from understudy.controller.reconcile.object_store import Store
 from understudy.controller.status import workload_status
-from understudy.kube import selectors
+from understudy.kube import claims, selectors
 from understudy.kube.apiserver_addresses import ApiServerAddresses
 from understudy.kube.client import (
     CONFIG_MAPS,
@@ -283,9 +283,7 @@ class Observer:
     ) -> list[Object]:
         """Return the pods of the workloads' own controllers that stand by while one of the pool's pods is active."""
         namespace, found = pool["metadata"]["namespace"], []
-        for name in {
-            kube_objects.labels(pod).get(names.WORKLOAD, "") for pod in pods if kube_objects.uid(pod) in active
-        }:
+        for name in {claims.workload_of(kube_objects.labels(pod)) for pod in pods if kube_objects.uid(pod) in active}:
             workload = workloads.get(name)
             if workload is None or not pool_reader.serves(pool, workload):
                 continue

@@ -16,6 +16,7 @@ from understudy.controller.reconcile.object_store import ObservedChange, Store
 from understudy.controller.reconcile.reconciler import Reconciler
 from understudy.controller.runtime import resync
 from understudy.controller.runtime.work_queue import Queue
+from understudy.kube import claims
 from understudy.kube.client import FAILURES, PODS, POLICIES, POOLS, SECRETS, WORKLOADS, Client, Object, Resource
 from understudy.kube.leader_election import LeadershipLost
 
@@ -124,7 +125,8 @@ class Operator:
             (SECRETS, names.POOL, POOLS),
         ):
             for item in self._store.all(resource):
-                name, namespace = kube_objects.labels(item).get(label), item["metadata"]["namespace"]
+                labels, namespace = kube_objects.labels(item), item["metadata"]["namespace"]
+                name = claims.workload_of(labels) if label == names.WORKLOAD else labels.get(label)
                 if name and self._store.get(of, namespace, name) is None:
                     self._add(Key(of.plural, namespace, name))
 

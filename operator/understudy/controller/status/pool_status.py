@@ -15,7 +15,7 @@ from understudy.controller.observed.pod_diagnosis import trouble
 from understudy.controller.plan import UNANSWERED, Problem
 from understudy.controller.pods import instance_pod, pod_counts, pool_pods, pool_size
 from understudy.controller.pods.pool_size import Sized
-from understudy.kube import selectors
+from understudy.kube import claims, selectors
 from understudy.kube.client import Object
 from understudy.kube.gates import pool_pod_policies
 
@@ -57,9 +57,7 @@ def count(observed: pool_pods.Observed, spec: FallbackPoolSpec, sized: Sized | N
 
 def _held(observed: pool_pods.Observed) -> list[Object]:
     """Return the living pods that are unclaimed."""
-    return [
-        pod for pod in observed.pods if kube_objects.alive(pod) and kube_objects.labels(pod).get(names.HELD) == "true"
-    ]
+    return [pod for pod in observed.pods if kube_objects.alive(pod) and claims.is_held(kube_objects.labels(pod))]
 
 
 def status(observed: pool_pods.Observed, pool_plan: pool_pods.PoolPlan, problems: Sequence[Problem]) -> Object:
@@ -113,7 +111,7 @@ def _reconciled(observed: pool_pods.Observed, problems: Sequence[Problem], found
 
 def _selector(name: str, spec: FallbackPoolSpec) -> str:
     text = f"{names.POOL}={name}"
-    return f"{text},{names.HELD}=true" if spec.level.shared else text
+    return f"{text},{names.CLAIMED_BY}={names.UNCLAIMED}" if spec.level.shared else text
 
 
 def _ready(observed: pool_pods.Observed, counts: Counts, problem: Problem | None) -> Condition:

@@ -36,11 +36,10 @@ def addresses(cidrs: Iterable[str]) -> list[Object]:
 
 
 def of_workload(workload: str) -> Object:
-    """Return the requirement that a pod is an instance of a workload, or was an unclaimed pod of a shared pool when its labels were read.
+    """Return the requirement that a pod is an instance of a workload, or of a shared pool, from which the workload may have claimed it.
 
-    Some networks read changed labels late: Cilium after 6 to 30 s. Until then, a pod that the workload has claimed is unclaimed for them.
-    An unclaimed pod can send nothing (pool_pod_policies), so a rule may have it as a peer. A policy that selects pods by this requirement
-    must also name them.
+    A pod that nobody has claimed can send nothing (pool_pod_policies), so a rule may have it as a peer. A policy that selects pods by this
+    requirement must also name them.
     """
     return {"key": names.WORKLOAD, "operator": "In", "values": [workload, names.UNCLAIMED]}
 

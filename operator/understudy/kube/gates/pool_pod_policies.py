@@ -1,4 +1,8 @@
-"""The network policies of the pods of shared pools, whatever the kind of the gates: of unclaimed pods, and of pods claimed just now."""
+"""The network policies of the pods of shared pools, whatever the kind of the gates.
+
+A claim changes no label that a policy selects by (names.CLAIMED_BY). So the policy of a pool selects its pods after their claim too, and
+another one adds what instances of a workload may do, for the pods that it names.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +19,7 @@ KIND = "NetworkPolicy"
 
 
 def held_pods(pool: str, claimable: str) -> Object:
-    """Return the policy of a pool's unclaimed pods: only monitors reach their agents, and the pods can send nothing else.
+    """Return the policy of a pool's pods: only monitors reach their agents, and the pods can send nothing else.
 
     Monitors are selected by both of their labels: that of the component does not say that a pod serves a workload.
     The annotation of the policy holds the hash of the template whose pods may be claimed.
@@ -38,11 +42,7 @@ def held_pods(pool: str, claimable: str) -> Object:
 
 
 def claimed_pods(workload: str, rules: Object, claimed: Sequence[str]) -> Object:
-    """Return the policy of pods that a workload has claimed just now: with it, they need no other label than they had before.
-
-    For a network that follows changes of labels late, such a pod is still unclaimed, and behind ``held_pods``. ``rules`` are those of an
-    instance that is not in control.
-    """
+    """Return the policy of the pods that a workload has claimed. ``rules`` are those of an instance that is not in control."""
     return network_policy(names.claimed(workload), claimed_selector(workload, claimed), rules)
 
 

@@ -103,7 +103,9 @@ class ActionProxyLink:
     async def _send_states(self, writer: asyncio.StreamWriter) -> None:
         sent: dict[str, Any] | None = None
         while True:
-            changes = [asyncio.ensure_future(source.changed()) for source in (self._view.gates, self._view.pods)]
+            changes = [
+                asyncio.ensure_future(source.changed()) for source in (self._view.gates, *self._view.pod_watches)
+            ]
             try:
                 spec = self._view.spec
                 if spec is not None and (present := await self._situation(spec)) != sent:

@@ -208,7 +208,7 @@ class BlackBox:
     async def _events(self, progress: Progress) -> tuple[list[Object], str]:
         """Return the Events of the workload and of its pods; and, if some are missing, the reason."""
         view = self._view
-        pods = [pod["metadata"]["name"] for pod in view.pods.items.values()]
+        pods = [pod["metadata"]["name"] for pod in view.all_pods()]
         pods = [*(pod.name for pod in progress.replaced), *(a.pod for a in progress.attempts), *pods]
         about = [
             ("RobotWorkload", view.workload),

@@ -53,6 +53,10 @@ class View:
     gates: Source = field(default_factory=Source)
     pods: Source = field(default_factory=Source)
 
+    @property
+    def pod_watches(self) -> list[Source]:
+        return [self.pods]
+
 
 @dataclass
 class World:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import time
 from collections.abc import AsyncIterator, Callable, Coroutine
 from dataclasses import replace
 from typing import Any
@@ -201,7 +200,6 @@ def with_a_pool(*, policy: bool = True) -> ClusterObjects:
     found = ClusterObjects()
     found.put_settings(pools=[{"name": "spare", "readiness": "Uninitialized", "template_hash": ""}])
     free = pod_of(Instance("spare-1", "u1", pool="spare", held=True, running=True, ready=True))
-    free["metadata"]["labels"][names.WORKLOAD] = names.UNCLAIMED
     found.view.unclaimed("spare").items["spare-1"] = found.client.store(PODS, NAMESPACE, free)
     if policy:
         found.client.store(NETWORK_POLICIES, NAMESPACE, pool_pod_policies.claimed_pods("w", {"egress": [{}]}, []))
@@ -210,18 +208,29 @@ def with_a_pool(*, policy: bool = True) -> ClusterObjects:
 
 async def test_a_claimed_pod_is_named_in_the_policy_of_claimed_pods() -> None:
     found = with_a_pool()
-    earlier = pod_of(Instance("spare-0", "u0", pool="spare", claim="uid-w/0", running=True))
-    earlier["metadata"]["annotations"][names.CLAIMED_AT] = str(int(time.time()) - 5)
-    old = pod_of(Instance("spare-00", "u00", pool="spare", claim="uid-w/00", running=True))
-    old["metadata"]["annotations"][names.CLAIMED_AT] = str(int(time.time()) - 100)
-    for item in (earlier, old):
-        found.view.pods.put(found.client.store(PODS, NAMESPACE, item))
+    earlier = pod_of(Instance("spare-0", "u0", pool="spare", held=True, running=True))
+    earlier["metadata"]["labels"][names.CLAIMED_BY] = "w"
+    found.view.put(found.client.store(PODS, NAMESPACE, earlier))
     (free,) = found.pods.unclaimed("spare")
     await found.pods.claim(free, "uid-w/1")
     assert found.client.items[CLAIMED]["spec"] == {
         "podSelector": pool_pod_policies.claimed_selector("w", ["spare-0", "spare-1"]),
         "egress": [{}],
     }
+
+
+async def test_a_claim_changes_no_label_by_which_a_policy_selects() -> None:
+    """Cilium applies no change of a policy to a pod while it waits for the identity of the new labels: for up to 35 s."""
+    found = with_a_pool()
+    (free,) = found.pods.unclaimed("spare")
+    place = (PODS.plural, NAMESPACE, free.name)
+    before = dict(found.client.items[place]["metadata"]["labels"])
+    claimed = await found.pods.claim(free, "uid-w/1")
+    after = found.client.items[place]["metadata"]["labels"]
+    assert after == before | {names.CLAIMED_BY: "w"}
+    assert names.CLAIMED_BY.startswith("annotation.")
+    assert [one.uid for one in found.pods.of_workload()] == [claimed.uid]
+    assert not found.pods.unclaimed("spare") or found.pods.unclaimed("spare")[0].claim == ""
 
 
 @pytest.mark.parametrize("status", [403, 404, 503])

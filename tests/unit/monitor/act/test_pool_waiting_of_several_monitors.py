@@ -124,6 +124,8 @@ class Cluster(MemoryClient):
         labels = {
             names.POOL: POOL,
             names.HELD: "true",
+            names.WORKLOAD: names.UNCLAIMED,
+            names.CLAIMED_BY: names.UNCLAIMED,
             names.INSTANCE: name,
             names.TEMPLATE_HASH: "h",
             names.PART: claims.part(name),
@@ -140,7 +142,7 @@ class Cluster(MemoryClient):
     def owners(self) -> dict[str, str]:
         """The workload of each pod that has one."""
         pods = [item for (plural, _, _), item in self.items.items() if plural == PODS.plural]
-        found = {pod["metadata"]["name"]: pod["metadata"]["labels"].get(names.WORKLOAD, "") for pod in pods}
+        found = {pod["metadata"]["name"]: claims.workload_of(pod["metadata"]["labels"]) for pod in pods}
         return {pod: workload for pod, workload in found.items() if workload}
 
     def writes(self, *ending: str) -> int:
@@ -191,6 +193,7 @@ class Monitor:
         labels, name = item["metadata"].get("labels") or {}, item["metadata"]["name"]
         if resource is PODS:
             _watched(self.view.pods, item, selected=labels.get(names.WORKLOAD) == self.workload)
+            _watched(self.view.claimed_pods, item, selected=labels.get(names.CLAIMED_BY) == self.workload)
         if resource is NETWORK_POLICIES:
             _watched(self.view.waiting_gates[0], item, selected=names.WAITS_FOR in labels)
             if name == names.gate(self.workload):

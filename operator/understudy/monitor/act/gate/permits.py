@@ -21,6 +21,7 @@ from understudy.api import names
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.failover.interfaces import GateState, Instance, NotVerified
 from understudy.failover.progress import Progress
+from understudy.kube import claims
 from understudy.kube.agent_client import AgentGone, AgentRefused
 from understudy.kube.client import FAILURES, PODS, Object
 from understudy.monitor.act.objects.cluster import Cluster
@@ -90,7 +91,7 @@ def witnesses(
         labels, ip = pod["metadata"].get("labels") or {}, pod.get("status", {}).get("podIP", "")
         if not ip or pod["status"].get("phase") != "Running" or pod["metadata"].get("deletionTimestamp"):
             continue
-        if workload in (labels.get(names.WORKLOAD), labels.get(names.MONITORED)) or labels.get(names.HELD) == "true":
+        if workload in (claims.workload_of(labels), labels.get(names.MONITORED)) or claims.is_held(labels):
             continue
         if _host(ip) in readers:
             found.append(ip)

@@ -28,7 +28,7 @@ class PodLabels:
 
     def __init__(self, cluster: Cluster) -> None:
         self._cluster = cluster
-        self._revision: tuple[int, int] | None = None
+        self._revision: tuple[int, ...] | None = None
         self._next = -math.inf
         self._known: dict[str, Instance] = {}
         """By UID, the pods that were not being deleted when last seen. One that vanished stays until the API server has answered."""

@@ -64,7 +64,7 @@ def instance_of(pod: Object) -> Instance:
         pool=claims.pool_of(pod),
         running=status.get("phase") == "Running",
         ready=conditions.get("Ready") == "True",
-        held=labels.get(names.HELD) == "true",
+        held=claims.is_held(labels),
         terminating=terminating,
         node=pod["spec"].get("nodeName") or "",
         has_agent=agent is not None,
@@ -102,7 +102,7 @@ def _port(agent: Object) -> int:
 
 def is_stray(pod: Object, settings: WorkloadSettings) -> bool:
     """Whether a pod is this workload's but does not have its label. A pod that a pool owns is unclaimed, and drives no robot."""
-    if (pod["metadata"].get("labels") or {}).get(names.WORKLOAD) == settings.workload:
+    if claims.workload_of(pod["metadata"].get("labels") or {}) == settings.workload:
         return False
     if (owner := controller_of(pod)) is None:
         return released(pod) == settings.workload
@@ -124,7 +124,7 @@ class PodControl:
     def __init__(self, client: Client, view: ClusterView, crash_points: CrashPoints, notices: Notices) -> None:
         self._client, self._view, self._crash_points, self._notices = client, view, crash_points, notices
         self._instances: list[Instance] = []
-        self._revision: tuple[int, int] | None = None
+        self._revision: tuple[int, ...] | None = None
 
     @property
     def _settings(self) -> WorkloadSettings:
@@ -215,17 +215,15 @@ class PodControl:
                 raise ClaimLost(instance.name) from error
             raise
         self._notices.add(PodClaimed("Won", time.monotonic() - started_at))
-        self._view.pods.put(claimed)
+        self._view.follow_claimed()
+        self._view.put(claimed)
         self._crash_points.step("after claim")
         await self._connect(instance.name)
         return instance_of(claimed)
 
     async def _connect(self, claimed: str) -> None:
-        """Name a claimed pod in the policy of claimed pods, for networks that read changed labels late.
-
-        Without an answer, or if it is refused, only such networks are late. The operator writes it too.
-        """
-        chosen = sorted({*claims.recent(self._view.all_pods(), time.time()), claimed})
+        """Name a claimed pod in the policy of claimed pods. If that fails, the operator does it."""
+        chosen = sorted({*claims.claimed(self._view.all_pods()), claimed})
         body = {"spec": {"podSelector": pool_pod_policies.claimed_selector(self._view.workload, chosen)}}
         try:
             async with asyncio.timeout(TRY_WITHIN):
@@ -301,7 +299,7 @@ class PodControl:
             _logger.info("pod %s could not be read: %r", name, error)
             return
         if pod is not None and pod["metadata"]["uid"] == uid:
-            self._view.pods.put(pod)
+            self._view.put(pod)
         else:
             self._doubt(name, uid)
 
@@ -317,13 +315,12 @@ class PodControl:
     async def _put_labels(self, pod: Object) -> None:
         """Write these labels to a pod that lacks one, also if the pod is not watched because of that."""
         name, uid = pod["metadata"]["name"], pod["metadata"]["uid"]
-        wanted = {names.WORKLOAD: self._view.workload, names.INSTANCE: name}
-        labels = pod["metadata"].get("labels") or {}
+        labels, wanted = pod["metadata"].get("labels") or {}, claims.instance_labels(pod, self._view.workload)
         if any(labels.get(key) != value for key, value in wanted.items()):
             body = {"metadata": {"uid": uid, "labels": wanted}}
             labelled = await self._written(name, uid, self._client.patch(PODS, self._view.namespace, name, body))
             if labelled is not None:
-                self._view.pods.put(labelled)
+                self._view.put(labelled)
 
     async def _delete(self, instance: Instance, grace: int | None = None) -> None:
         if grace is None and self._settings.source_kind == "StatefulSet":

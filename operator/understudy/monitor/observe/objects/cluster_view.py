@@ -17,6 +17,7 @@ from understudy.failover.progress import PodIdentity
 from understudy.kube.client import CONFIG_MAPS, PODS, POLICIES, WORKLOADS, Client, Object
 from understudy.kube.gates import registry
 from understudy.kube.gates.base import GateKind, GateRecord
+from understudy.kube.repeated_requests import answered
 from understudy.kube.watched_collection import Reflector, any_changed
 from understudy.monitor.observe.objects import long_trees
 from understudy.monitor.observe.objects.unclaimed_pods import Unclaimed
@@ -81,6 +82,11 @@ class ClusterView:
         self.pods = Reflector(
             client, PODS, namespace, labels=f"{names.WORKLOAD}={workload}", on_change=wakeups.pod_changed
         )
+        self.claimed_pods = Reflector(
+            client, PODS, namespace, labels=f"{names.CLAIMED_BY}={workload}", on_change=wakeups.pod_changed
+        )
+        """Pods that the workload has claimed. Watched only once it has some: each watch of pods costs the API server something."""
+        self._claimed_watch: asyncio.Task[None] | None = None
         self._unclaimed: dict[str, Unclaimed] = {}
         self.waiting_gates = [
             Reflector(client, resource, namespace, labels=names.WAITS_FOR) for resource in registry.GATE_RESOURCES
@@ -115,6 +121,12 @@ class ClusterView:
                 "cannot read FailurePolicy %s yet: the monitor starts without a policy, and uses it as soon as it can read it",
                 self._referred,
             )
+        claimed = await answered(
+            lambda: self.client.list(PODS, self.namespace, labels=f"{names.CLAIMED_BY}={self.workload}")
+        )
+        if claimed["items"]:
+            self.follow_claimed()
+            await self.claimed_pods.synced.wait()
         while self.settings is None:
             _logger.info("waiting for ConfigMap %s", names.settings(self.workload))
             await self.settings_maps.changed()
@@ -160,13 +172,14 @@ class ClusterView:
 
     @property
     def pod_watches(self) -> list[Reflector]:
-        """The watches that report the workload's pods. One pod may be in both."""
-        return [self.pods, self.source_pods] if self.source_pods else [self.pods]
+        """The watches that report the workload's pods. One pod may be in several."""
+        claimed = [self.claimed_pods] if self._claimed_watch is not None else []
+        return [self.pods, *claimed, *([self.source_pods] if self.source_pods else [])]
 
     @property
-    def pods_revision(self) -> tuple[int, int]:
+    def pods_revision(self) -> tuple[int, ...]:
         """A value that changes whenever one of the workload's pods changes."""
-        return self.pods.revision, self.source_pods.revision if self.source_pods else 0
+        return self.pods.revision, self.claimed_pods.revision, self.source_pods.revision if self.source_pods else 0
 
     @property
     def object(self) -> Object | None:
@@ -322,4 +335,14 @@ class ClusterView:
     def all_pods(self) -> list[Object]:
         """Return the pods of this workload, including pods of the controller in ``workloadRef`` that have no label yet."""
         pods = dict(self.source_pods.items) if self.source_pods else {}
-        return list((pods | self.pods.items).values())
+        return list((pods | self.claimed_pods.items | self.pods.items).values())
+
+    def follow_claimed(self) -> None:
+        """Watch the pods that the workload has claimed, from now on."""
+        if self._claimed_watch is None and self._group is not None:
+            self._claimed_watch = self._group.create_task(self.claimed_pods.run())
+
+    def put(self, pod: Object) -> None:
+        """Enter a pod of the workload as an answer of the API server shows it."""
+        claimed = (pod["metadata"].get("labels") or {}).get(names.CLAIMED_BY)
+        (self.claimed_pods if claimed else self.pods).put(pod)

@@ -81,8 +81,8 @@ class ResourceMeter:
     async def _ask(self) -> None:
         problem = ""
         try:
-            found = await self._client.list(POD_METRICS, self._namespace, labels=f"{names.WORKLOAD}={self._workload}")
-            self._take(found)
+            for label in (names.WORKLOAD, names.CLAIMED_BY):
+                self._take(await self._client.list(POD_METRICS, self._namespace, labels=f"{label}={self._workload}"))
         except ApiError as error:
             problem = _ABSENT if error.not_found else f"CPU and memory of pods are unknown: {error.message:.300}."
         except NO_ANSWER as error:

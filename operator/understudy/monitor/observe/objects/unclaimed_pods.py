@@ -25,7 +25,7 @@ class Unclaimed:
 
     def __init__(self, client: Client, namespace: str, pool: str) -> None:
         self._client, self._namespace = client, namespace
-        self._labels = {names.HELD: "true", names.POOL: pool}
+        self._labels = {names.HELD: "true", names.POOL: pool, names.CLAIMED_BY: names.UNCLAIMED}
         labels = _selector(self._labels)
         self._watched = Reflector(client, PODS, namespace, labels=labels, fields=RUNNING, cached=True)
         self._found: dict[str, Object] = {}
