@@ -51,7 +51,7 @@ class Contender:
         client, namespace = self._client, self._namespace
         self._uid = (await client.get(WORKLOADS, namespace, self._robot))["metadata"]["uid"]
         self._gate = GateRecord.of(await client.get(NETWORK_POLICIES, namespace, names.gate(self._robot)))
-        found = await client.list(PODS, namespace, labels=f"{names.POOL}={pool},{names.HELD}=true")
+        found = await client.list(PODS, namespace, labels=f"{names.POOL}={pool},{names.CLAIMED_BY}=")
         self._free = sorted(found["items"], key=lambda pod: str(pod["metadata"]["name"]))
 
     async def contend(self, who: str) -> Outcome:

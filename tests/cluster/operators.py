@@ -135,10 +135,10 @@ class Fleet:
         return [{**kind, **pod} for pod in found if not pod["metadata"].get("deletionTimestamp")]
 
     def instances(self, workload: str = "w") -> list[Object]:
-        return self.pods(f"{names.WORKLOAD}={workload}")
+        return [*self.pods(f"{names.WORKLOAD}={workload}"), *self.pods(f"{names.CLAIMED_BY}={workload}")]
 
     def held(self, pool: str = "spare") -> list[Object]:
-        return self.pods(f"{names.POOL}={pool},{names.HELD}=true")
+        return self.pods(f"{names.POOL}={pool},{names.HELD}=true,{names.CLAIMED_BY}=")
 
     def gate(self, workload: str = "w") -> Object:
         return self.get("NetworkPolicy", names.gate(workload), NETWORK)

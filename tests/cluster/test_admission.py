@@ -164,7 +164,7 @@ def test_a_claim_takes_the_pod_whole(cluster: Cluster, namespace: str, monitor: 
     pod = _held(cluster, namespace)
     still_held = _claim(MINE, pod)
     del still_held["metadata"]["labels"][names.HELD]
-    assert "must remove the label understudy.dev/held with the claim" in refusal(
+    assert "may remove the label understudy.dev/held with a claim only" in refusal(
         lambda: cluster.patch(pod, still_held, user=monitor)
     )
     foreign = _claim(MINE, pod)

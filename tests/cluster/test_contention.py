@@ -30,6 +30,7 @@ from tests.unit.monitor.gates import Packets
 from understudy.api import names
 from understudy.api.base import API_VERSION
 from understudy.failover.interfaces import ClaimLost
+from understudy.kube import claims
 from understudy.kube.client import Access, Client
 from understudy.kube.kubeconfig import load_access
 from understudy.monitor.act.objects.gate_control import GateControl
@@ -98,7 +99,7 @@ class History:
                 assert found.setdefault(claim, metadata["uid"]) == metadata["uid"], f"{claim} has two pods"
                 assert owners.setdefault(metadata["uid"], controller) == controller, "a claimed pod has two owners"
                 assert claim.startswith(f"{controller}/"), "who claimed it owns it"
-                assert names.HELD not in metadata["labels"], "a claimed pod isn't free"
+                assert not claims.is_held(metadata["labels"]), "a claimed pod isn't free"
         return found
 
     def most_held(self) -> int:
@@ -107,7 +108,7 @@ class History:
         most = 0
         for kind, pod in self.events:
             metadata = pod["metadata"]
-            free = (metadata.get("labels") or {}).get(names.HELD) == "true"
+            free = claims.is_held(metadata.get("labels") or {})
             if free and kind != "DELETED" and "deletionTimestamp" not in metadata:
                 held.add(metadata["uid"])
             else:
@@ -173,7 +174,12 @@ def held(fleet: Fleet, number: int) -> Object:
     owner = {"apiVersion": API_VERSION, "kind": "FallbackPool", "name": "spare", "uid": pool["metadata"]["uid"]}
     metadata = {
         "name": f"spare-{number:02}",
-        "labels": {names.POOL: "spare", names.HELD: "true"},
+        "labels": {
+            names.POOL: "spare",
+            names.HELD: "true",
+            names.WORKLOAD: names.UNCLAIMED,
+            names.CLAIMED_BY: names.UNCLAIMED,
+        },
         "ownerReferences": [{**owner, "controller": True, "blockOwnerDeletion": False}],
     }
     return {"apiVersion": CORE, "kind": "Pod", "metadata": metadata, "spec": template()["spec"]}

@@ -182,7 +182,11 @@ def test_can_i_lists_only_objects_of_the_workload_for_its_monitor(
     upstream = names.gate("robot-17-localization")  # that of the workload on which it depends
     own = {
         "leases.coordination.k8s.io": {upstream},
-        "networkpolicies.networking.k8s.io": {names.gate("robot-17"), upstream},
+        "networkpolicies.networking.k8s.io": {
+            names.gate("robot-17"),
+            upstream,
+            *([names.claimed("robot-17")] if pools else []),
+        },
         "robotworkloads.understudy.dev": {"robot-17", "robot-17-localization"},  # on which it depends
         "robotworkloads.understudy.dev/status": {"robot-17"},
         "failurepolicies.understudy.dev": {"hot"},

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from understudy.api import names
 from understudy_demo import robotview
 from understudy_demo.recovery import Recovered
 from understudy_demo.robotview import RobotLog
@@ -226,7 +227,8 @@ class Robot:
 
     def pods(self) -> list[Object]:
         """Its instances."""
-        return self.kubectl.list("pods", f"understudy.dev/workload={self.workload}")
+        own = self.kubectl.list("pods", f"{names.WORKLOAD}={self.workload}")
+        return own + self.kubectl.list("pods", f"{names.CLAIMED_BY}={self.workload}")
 
     def has_pod(self, name: str) -> bool:
         """Whether a pod's object is there."""

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from understudy.api import names
 from understudy_demo.recovery import Recovered
 
 from tests.e2e.console import REPOSITORY, shell_environment, understudy
@@ -57,8 +58,8 @@ def node_of(robot: Robot, pod: str) -> str:
 def drain(robot: Robot, node: str, within: float = 120.0) -> None:
     """As an administrator does it, of this robot's instances only: other tests' pods stay. Raises Failed."""
     options = ("--ignore-daemonsets", "--delete-emptydir-data", f"--timeout={within:g}s")
-    selector = f"--pod-selector=understudy.dev/workload={robot.workload}"
-    robot.kubectl("drain", node, selector, *options, timeout=within + 30)
+    for label in (names.WORKLOAD, names.CLAIMED_BY):
+        robot.kubectl("drain", node, f"--pod-selector={label}={robot.workload}", *options, timeout=within + 30)
 
 
 def test_the_robot_does_not_notice_a_requested_switchover(executing: Robot, gate_kind: str) -> None:

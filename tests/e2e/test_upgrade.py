@@ -25,6 +25,7 @@ from tests.support.cluster import account
 from tests.support.rights import listed, named
 from understudy import __version__
 from understudy.api import names
+from understudy.kube import claims
 
 EARLIER, EARLIER_VERSION = "059171a5435c2acd51b84946c11afc81124e2f52", "0.1.0"
 """The commit of the version before this one. With each new version, the last commit of the one that was."""
@@ -99,7 +100,9 @@ def version(kubectl: Kubectl, pod: Object) -> str:
 
 def held(kubectl: Kubectl) -> list[Object]:
     """The pods of the pool that belong to nobody yet."""
-    return living(kubectl.list("pods", f"{names.HELD}=true"))
+    return living(
+        [pod for pod in kubectl.list("pods", f"{names.HELD}=true") if claims.is_held(pod["metadata"]["labels"])]
+    )
 
 
 def operators(release: Kubectl) -> list[Object]:

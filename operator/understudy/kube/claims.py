@@ -95,9 +95,12 @@ def workload_of(labels: Mapping[str, str]) -> str:
 
 
 def instance_labels(pod: Object, workload: str) -> dict[str, str]:
-    """Return the labels of an instance of a workload that policies and watches select by. The pod may lack some of them."""
-    found = {names.INSTANCE: pod["metadata"]["name"]}
-    if {names.CLAIMED_BY, names.HELD} & (pod["metadata"].get("labels") or {}).keys():
+    """Return the labels of an instance of a workload that policies and watches select by. The pod may lack some of them.
+
+    A monitor of an earlier version claims a pod of a shared pool with the label of other instances.
+    """
+    found, present = {names.INSTANCE: pod["metadata"]["name"]}, pod["metadata"].get("labels") or {}
+    if {names.CLAIMED_BY, names.HELD} & present.keys() and present.get(names.WORKLOAD) != workload:
         return found | {names.CLAIMED_BY: workload, names.WORKLOAD: names.UNCLAIMED, names.HELD: "true"}
     return found | {names.WORKLOAD: workload}
 

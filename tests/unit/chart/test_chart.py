@@ -98,7 +98,15 @@ def test_the_policy_of_labels_uses_the_names_of_the_code(render: Render) -> None
 
 
 def test_the_policies_of_new_pods_and_controllers_name_the_labels_that_the_code_selects_by(render: Render) -> None:
-    labels = (names.WORKLOAD, names.INSTANCE, names.POOL, names.HELD, names.MONITORED, names.COMPONENT)
+    labels = (
+        names.WORKLOAD,
+        names.INSTANCE,
+        names.POOL,
+        names.HELD,
+        names.CLAIMED_BY,
+        names.MONITORED,
+        names.COMPONENT,
+    )
     listed = ", ".join(f"'{label}'" for label in labels)
     for name, count in (("new-pods", 2), ("controllers", 3)):
         policy = one(render(), "ValidatingAdmissionPolicy", f"understudy-{name}")

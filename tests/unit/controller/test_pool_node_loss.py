@@ -177,7 +177,7 @@ class TestEvictions:
             assert found["spec"]["minAvailable"] == 2
             assert found["spec"]["unhealthyPodEvictionPolicy"] == "AlwaysAllow"
             assert found["spec"]["selector"] == {
-                "matchLabels": {names.POOL: "spare", names.CLAIMED_BY: names.UNCLAIMED}
+                "matchLabels": {names.POOL: "spare", names.HELD: "true", names.CLAIMED_BY: names.UNCLAIMED}
             }
 
     def test_an_empty_pool_has_no_budget(self) -> None:

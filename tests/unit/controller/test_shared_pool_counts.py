@@ -51,7 +51,7 @@ class TestCounts:
             "ready": 1,
             "claimed": 1,
         }
-        assert found["selector"] == f"{names.POOL}=spare,{names.CLAIMED_BY}="
+        assert found["selector"] == f"{names.POOL}=spare,{names.HELD}=true,{names.CLAIMED_BY}="
 
     def test_a_pool_per_workload_counts_standbys_and_those_in_control(self) -> None:
         pool = hot(per_workload=1)

@@ -21,7 +21,9 @@ PATIENCE = 120.0
 
 def budget(pool: str, least: int) -> Object:
     """Return the budget that keeps at least ``least`` waiting pods. A pod that is not ready may always be evicted."""
-    return disruption_budget(names.held(pool), least, {names.POOL: pool, names.CLAIMED_BY: names.UNCLAIMED})
+    return disruption_budget(
+        names.held(pool), least, {names.POOL: pool, names.HELD: "true", names.CLAIMED_BY: names.UNCLAIMED}
+    )
 
 
 def disruption_budget(name: str, least: int, chosen: Mapping[str, str]) -> Object:

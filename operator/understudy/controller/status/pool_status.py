@@ -111,7 +111,7 @@ def _reconciled(observed: pool_pods.Observed, problems: Sequence[Problem], found
 
 def _selector(name: str, spec: FallbackPoolSpec) -> str:
     text = f"{names.POOL}={name}"
-    return f"{text},{names.CLAIMED_BY}={names.UNCLAIMED}" if spec.level.shared else text
+    return f"{text},{names.HELD}=true,{names.CLAIMED_BY}={names.UNCLAIMED}" if spec.level.shared else text
 
 
 def _ready(observed: pool_pods.Observed, counts: Counts, problem: Problem | None) -> Condition:
