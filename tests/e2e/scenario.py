@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from understudy.api import names
 from understudy_demo import robotview
 from understudy_demo.recovery import Recovered
 from understudy_demo.robotview import RobotLog
 
 from tests.e2e.kubectl import Failed, Kubectl, Object, is_ready
+from understudy.api import names
 
 MANIFESTS = Path(__file__).parents[2] / "examples" / "quickstart" / "manifests"
 APPLICATION = "understudy_quickstart.application"

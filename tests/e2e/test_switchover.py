@@ -9,13 +9,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from understudy.api import names
 from understudy_demo.recovery import Recovered
 
 from tests.e2e.console import REPOSITORY, shell_environment, understudy
 from tests.e2e.kubectl import Failed, Kubectl
 from tests.e2e.scenario import Robot, eventually
 from tests.e2e.test_strategies import ENFORCEMENT, assert_handed_over
+from understudy.api import names
 
 PERIOD = 0.05
 """Seconds between two commands of the quickstart's application."""

@@ -85,7 +85,7 @@ class ClusterView:
         self.claimed_pods = Reflector(
             client, PODS, namespace, labels=f"{names.CLAIMED_BY}={workload}", on_change=wakeups.pod_changed
         )
-        """Pods that the workload has claimed. Watched only once it has some: each watch of pods costs the API server something."""
+        """Pods that the workload has claimed. Watched only if it may claim some, or has: each watch of pods costs the API server something."""
         self._claimed_watch: asyncio.Task[None] | None = None
         self._unclaimed: dict[str, Unclaimed] = {}
         self.waiting_gates = [
@@ -126,10 +126,11 @@ class ClusterView:
         )
         if claimed["items"]:
             self.follow_claimed()
-            await self.claimed_pods.synced.wait()
         while self.settings is None:
             _logger.info("waiting for ConfigMap %s", names.settings(self.workload))
             await self.settings_maps.changed()
+        if self._claimed_watch is not None:
+            await self.claimed_pods.synced.wait()
         if self.settings.source_selector:
             labels = ",".join(f"{key}={value}" for key, value in self.settings.source_selector.items())
             self.source_pods = Reflector(
@@ -163,6 +164,8 @@ class ClusterView:
         if self._group is None or settings is None:
             return
         shared = any(pool.level.shared for pool in settings.pools)
+        if shared:  # a claim of the monitor before this one may still be under way
+            self.follow_claimed()
         if shared and not self._waiting_watches:
             self._waiting_watches = [self._group.create_task(one.run()) for one in self.waiting_gates]
         elif not shared:
