@@ -85,7 +85,7 @@ class ClusterView:
         self.claimed_pods = Reflector(
             client, PODS, namespace, labels=f"{names.CLAIMED_BY}={workload}", on_change=wakeups.pod_changed
         )
-        """Pods that the workload has claimed. Watched only if it may claim some, or has: each watch of pods costs the API server something."""
+        """Pods that the workload has claimed. Watched only if it may claim some, or has: each watch costs the API server something."""
         self._claimed_watch: asyncio.Task[None] | None = None
         self._unclaimed: dict[str, Unclaimed] = {}
         self.waiting_gates = [
