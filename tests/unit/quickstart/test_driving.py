@@ -25,8 +25,8 @@ class Run(processes.Run):
         super().__init__(folder, stack, [SOURCES])
         self.robot = self.pod("robot-pod", "robot")
 
-    def pod(self, name: str, module: str) -> subprocess.Popen[bytes]:
-        return self.start(name, "-m", f"understudy_quickstart.{module}", HOSTNAME=name)
+    def pod(self, name: str, module: str, **environment: str) -> subprocess.Popen[bytes]:
+        return self.start(name, "-m", f"understudy_quickstart.{module}", HOSTNAME=name, **environment)
 
 
 @pytest.fixture
@@ -63,6 +63,15 @@ def test_another_application_continues_to_drive_the_robot_from_where_it_is(run: 
     assert handover.clean
     assert handover.gap is not None
     assert handover.gap > 0.5
+
+
+@pytest.mark.timeout(60)
+def test_an_application_sends_as_often_as_it_is_asked(run: Run) -> None:
+    run.pod("drive-a", "application", DRIVE_HERTZ="100")
+    run.wait("the robot is driven", lambda: len(run.log().commands) > 150, within=30)
+    commands = run.log().commands[50:]
+    rate = (len(commands) - 1) / (commands[-1].received - commands[0].received)
+    assert 80 < rate < 120
 
 
 @pytest.mark.timeout(60)

@@ -29,7 +29,7 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class Driving:
-    """Follows the circuit at 20 commands a second, from a node."""
+    """Follows the circuit from a node, at 20 commands a second or as many as DRIVE_HERTZ says."""
 
     def __init__(self, node: Node, name: str) -> None:
         self._node, self._name = node, name
@@ -44,7 +44,7 @@ class Driving:
             node.create_subscription(LaserScan, "/scan", self._scanned, qos_profile_sensor_data),
             node.create_subscription(OccupancyGrid, "/map", self._charted, LATCHED),
         ]
-        self._timer = node.create_timer(1 / 20, self._drive, autostart=False)
+        self._timer = node.create_timer(1 / float(os.environ.get("DRIVE_HERTZ") or 20), self._drive, autostart=False)
         self._say(f"{name} is up after {_age():.2f} s")
 
     def start(self) -> None:
