@@ -35,6 +35,17 @@ done
 """
 """Sends a signal to the application's process: a pod of the quickstart shares its process namespace."""
 
+UNREADY = "/tmp/unready"
+"""A file in the application's container. With the readiness probe, a pod that has it is not ready, and its application goes on."""
+
+READINESS_PROBE: Object = {
+    "exec": {"command": ["sh", "-c", f"! test -e {UNREADY}"]},
+    "periodSeconds": 1,
+    "timeoutSeconds": 5,
+    "failureThreshold": 1,
+}
+"""The readiness probe of the application's container, for the failure ``unready``."""
+
 
 def manifest(name: str) -> list[Object]:
     """The objects of one of the quickstart's files."""
@@ -297,7 +308,7 @@ class Robot:
         self.kubectl("delete", "pod", pod, "--wait=false", *options)
 
     def fail(self, pod: str, how: str) -> None:
-        """Make the instance in a pod fail: killed, frozen, deleted or deleted-by-force."""
+        """Make the instance in a pod fail: killed, frozen, deleted, deleted-by-force, or unready (with READINESS_PROBE)."""
         match how:
             case "killed":
                 self.signal(pod, "KILL")
@@ -307,6 +318,8 @@ class Robot:
                 self.delete(pod)
             case "deleted-by-force":
                 self.delete(pod, force=True)
+            case "unready":
+                self.kubectl.shell(pod, CONTAINER, f"touch {UNREADY}")
             case _:
                 raise ValueError(how)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.e2e.kubectl import Kubectl, Object
-from tests.e2e.scenario import CONTAINER, Robot, eventually, manifest, patient
+from tests.e2e.scenario import CONTAINER, READINESS_PROBE, Robot, eventually, manifest, patient
 from tests.e2e.test_strategies import assert_handed_over
 
 SILENCE = "120s"
@@ -48,15 +48,14 @@ def test_one_restart_is_allowed_and_the_next_is_one_too_many(kubectl: Kubectl, g
 def test_a_pod_that_is_no_longer_ready_fails_though_its_outputs_flow(kubectl: Kubectl, gate_kind: str) -> None:
     def with_probe(item: Object) -> None:
         [container] = item["spec"]["template"]["spec"]["containers"]
-        probe = {"exec": {"command": ["sh", "-c", "! test -e /tmp/unready"]}, "periodSeconds": 1, "failureThreshold": 1}
-        container["readinessProbe"] = probe
+        container["readinessProbe"] = READINESS_PROBE
 
     robot = Robot(kubectl, gate_kind=gate_kind)
     kubectl.apply(looking_at({"condition": "ContainersReady", "for": "3s"}))
     kubectl.apply(robot.objects(policy="quickstart-restart", edit=with_probe))
     old = robot.wait_protected()
 
-    kubectl.shell(old, CONTAINER, "touch /tmp/unready")
+    robot.fail(old, "unready")
     recovery = robot.wait_recovered(1, within=120)
     assert recovery.old == old, recovery
     assert recovery.reason.startswith("condition ContainersReady of the pod is False"), recovery

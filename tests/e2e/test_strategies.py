@@ -7,10 +7,19 @@ import time
 import pytest
 from understudy_demo.recovery import Recovered
 
+from tests.e2e import handovers
+from tests.e2e.kubectl import Kubectl
 from tests.e2e.scenario import Robot, never
+from understudy.failover.strategies.steps import CLOSED_FOR
 
 ENFORCEMENT = 0.1
 """Seconds within which one gate enforcement must be over (the enforcer's own figures are milliseconds)."""
+
+HERTZ = 100
+"""Commands per second where it matters for how long two instances command the robot."""
+
+BUSY = 0.1
+"""Seconds that a command may be late on a machine that is busy with other things."""
 
 FAILURES = ["killed", "frozen", "deleted"]
 
@@ -53,6 +62,29 @@ def test_an_executing_standby_takes_over(executing: Robot, how: str) -> None:
     assert executing.wait_protected() == recovery.new, "and it is protected again"
     pool = executing.kubectl.get("fbp", "quickstart-executing")["status"]
     assert (pool["desired"], pool["replicas"], pool["ready"], pool["claimed"]) == (1, 1, 1, 1), pool
+
+
+@pytest.mark.network_policy  # a mux switches at once in any case
+def test_break_before_make_opens_the_gate_on_one_node_after_it_was_seen_closed_on_another(kubectl: Kubectl) -> None:
+    robot = Robot(kubectl)
+    kubectl.apply(handovers.objects(robot, handover="BreakBeforeMake", hertz=HERTZ))
+    old = robot.wait_protected(180)
+    nodes = {pod["metadata"]["name"]: pod["spec"]["nodeName"] for pod in robot.pods()}
+    robot.fail(old, "unready")
+    recovery = robot.wait_recovered(1)
+    assert recovery.strategy == "Fallback/Executing", recovery
+    assert recovery.old == old
+    assert recovery.reason.startswith("condition ContainersReady of the pod is False"), recovery
+    assert nodes[recovery.new] != nodes[old], nodes
+    assert_handed_over(robot, recovery)
+    handover = robot.log().handover(recovery.old, recovery.new, switch=recovery.moments["decided"])
+    assert handover.last_old is not None
+    assert handover.gap is not None
+    assert handover.last_old > recovery.moments["decided"] - BUSY, "the failed instance was still sending"
+    never(handover.late, "commands of the failed instance after the first one of the standby")
+    # The last packet may be up to 30 ms older than the network's change, because it waits to be sent and to be read.
+    assert handover.gap > CLOSED_FOR / 2, "the gate was closed for both"
+    assert handover.gap < CLOSED_FOR + 2 * ENFORCEMENT + 1 / HERTZ + BUSY
 
 
 @pytest.mark.parametrize("how", often("frozen"))
