@@ -88,7 +88,7 @@ def _strategy(report: Report, kubeconfig: Path, strategy: str, failures: int, ho
         kubectl.apply(manifest(f"strategies/{strategy}.yaml"))
         kubectl.apply(robot.objects(policy=f"quickstart-{strategy}"))
         for number in range(1, failures + 1):
-            pod, earlier, by_itself = _rested(robot)
+            pod, earlier, by_itself = rested(robot)
             unasked += by_itself
             robot.fail(pod, how)
             recovery = robot.wait_unobserved(earlier + 1, within=120)
@@ -136,7 +136,7 @@ def bars(strategy: str) -> dict[str, dict[str, float]]:
     return found
 
 
-def _rested(robot: Robot) -> tuple[str, int, int]:
+def rested(robot: Robot) -> tuple[str, int, int]:
     """Return the active pod after a quiet time, the number of recoveries, and how many of them were just now.
 
     On a busy machine an application may pause for longer than its timeout.
