@@ -68,10 +68,12 @@ def outputs(root: Path) -> dict[Path, str]:
     result[LIMITS] = values.between_markers(
         (root / LIMITS).read_text(), precedence.table(), precedence.BEGIN, precedence.END
     )
-    result[NETWORKS] = values.between_markers(
-        (root / NETWORKS).read_text(), networks.table(root / "bench" / "results"), networks.BEGIN, networks.END
-    )
+    results = root / "bench" / "results"
     for page, parts in {
+        NETWORKS: (
+            (networks.table(results), networks.BEGIN, networks.END),
+            (networks.handovers(results), networks.HANDOVERS_BEGIN, networks.HANDOVERS_END),
+        ),
         TREES: (
             (scenarios.leaf_table(), scenarios.LEAVES_BEGIN, scenarios.LEAVES_END),
             (scenarios.tag_table(), scenarios.TAGS_BEGIN, scenarios.TAGS_END),

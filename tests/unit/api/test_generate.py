@@ -23,7 +23,8 @@ def _generate(*arguments: str) -> subprocess.CompletedProcess[str]:
 @pytest.fixture
 def copy(tmp_path: Path) -> Path:
     """A copy of the files that are generated, and of what is read for that."""
-    results = [path.relative_to(REPOSITORY) for path in (REPOSITORY / "bench" / "results").glob("re*.json")]
+    folder = REPOSITORY / "bench" / "results"
+    results = [path.relative_to(REPOSITORY) for name in ("re*", "handover*") for path in folder.glob(f"{name}.json")]
     for path in [*outputs(REPOSITORY), Path("charts/understudy/values.yaml"), Path("docs/trees.md"), *results]:
         (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(REPOSITORY / path, tmp_path / path)
