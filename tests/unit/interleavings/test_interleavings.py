@@ -221,7 +221,7 @@ def test_a_robot_that_nobody_drives_long_after_an_outage_is_detected() -> None:
         mock.patch.object(api_contact, "LASTS", math.inf),
         mock.patch.multiple(gate_control, RETRY_FIRST=200.0, RETRY_MOST=200.0),
     ):
-        assert found("nobody drives", EXECUTING, "api_server_is_away", weather=0.0, first=897)
+        assert found("nobody drives", EXECUTING, "api_server_is_away", weather=0.0, first=1168)
 
 
 def test_restored_state_that_is_older_than_what_was_kept_is_detected() -> None:
