@@ -14,7 +14,7 @@ from typing import Any
 from urllib3.exceptions import HTTPError
 
 from tests.support.cluster import Cluster, Refused
-from understudy.cli.doctor.cilium_check import OF_NAMESPACE
+from understudy.kube.gates.cilium import OF_NAMESPACE
 
 Object = dict[str, Any]
 

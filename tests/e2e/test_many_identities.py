@@ -14,7 +14,7 @@ import pytest
 from tests.e2e.console import understudy
 from tests.e2e.kubectl import Failed, Kubectl, Object
 from tests.e2e.scenario import Robot, eventually
-from understudy.cli.doctor.cilium_check import ENTRIES
+from understudy.kube.gates.cilium import ENTRIES
 
 pytestmark = [pytest.mark.local_only, pytest.mark.network_policy, pytest.mark.long]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -18,13 +19,35 @@ class Peer:
     namespace_labels: Mapping[str, str]
 
 
-def needed_for_each(policies: Iterable[Object], peers: Sequence[Peer], namespace: str) -> list[int]:
-    """Return, for each peer, the entries of a pod that these NetworkPolicies of a namespace select."""
-    rules = [(selected, _entries(ports)) for selected, ports in _rules(policies)]
-    return [
-        sum(entries for selected, entries in rules if any(_selects(one, peer, namespace) for one in selected))
-        for peer in peers
-    ]
+class Peers:
+    """All peers of a cluster, by namespace: most rules select in one namespace, and a cluster may have thousands of peers."""
+
+    def __init__(self, peers: Iterable[Peer]) -> None:
+        self._groups: dict[str, dict[frozenset[tuple[str, str]], list[tuple[int, Mapping[str, str]]]]] = {}
+        """By the name of a namespace and its labels: the number and the labels of each peer."""
+        for number, peer in enumerate(peers):
+            groups = self._groups.setdefault(peer.namespace, {})
+            groups.setdefault(frozenset(peer.namespace_labels.items()), []).append((number, peer.labels))
+
+    def selected(self, selector: Object, namespace: str) -> Iterator[int]:
+        """Yield the numbers of the peers that an entry of ``from`` or ``to`` selects in a policy of this namespace."""
+        if "ipBlock" in selector:
+            return
+        of_namespace, of_pod = selector.get("namespaceSelector"), selector.get("podSelector") or {}
+        for groups in [self._groups.get(namespace, {})] if of_namespace is None else self._groups.values():
+            for namespace_labels, peers in groups.items():
+                if of_namespace is None or selectors.matches(of_namespace, dict(namespace_labels)):
+                    yield from (number for number, labels in peers if selectors.matches(of_pod, labels))
+
+
+def needed_for_each(policies: Iterable[Object], peers: Peers, namespace: str) -> list[int]:
+    """Return, for each peer that counts, the entries of a pod that these NetworkPolicies of a namespace select."""
+    found: Counter[int] = Counter()
+    for selected, ports in _rules(policies):
+        entries = _entries(ports)
+        for peer in {number for one in selected for number in peers.selected(one, namespace)}:
+            found[peer] += entries
+    return list(found.values())
 
 
 def _rules(policies: Iterable[Object]) -> Iterator[tuple[Sequence[Object], Sequence[Object]]]:
@@ -34,16 +57,6 @@ def _rules(policies: Iterable[Object]) -> Iterator[tuple[Sequence[Object], Seque
             for rule in policy["spec"].get(side) or []:
                 if rule.get(key):
                     yield rule[key], rule.get("ports") or [{}]
-
-
-def _selects(selector: Object, peer: Peer, namespace: str) -> bool:
-    if "ipBlock" in selector:
-        return False
-    if (of_namespace := selector.get("namespaceSelector")) is None:
-        is_there = peer.namespace == namespace
-    else:
-        is_there = selectors.matches(of_namespace, peer.namespace_labels)
-    return is_there and selectors.matches(selector.get("podSelector") or {}, peer.labels)
 
 
 def _entries(ports: Sequence[Object]) -> int:

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from tests.support import fleet
+from tests.support.cilium import EACH, NAME, identity, policies
 from tests.support.golden import assert_golden
 from tests.unit.cli.doctor.server import Server
 from understudy.api import names
@@ -14,31 +15,15 @@ from understudy.cli.common.cluster_access.kubectl_proxy import Refused
 from understudy.cli.doctor import cilium_check
 from understudy.cli.doctor.findings import Finding
 from understudy.kube.client import CONFIG_MAPS, NETWORK_POLICIES, NODES, Object
+from understudy.kube.gates import cilium
 from understudy.kube.gates.base import Reach
-from understudy.kube.gates.kinds.network_policy import GATE
-
-NAME = "robot-17-navigation"
-EACH = 63
-"""Entries for each peer of the instance in control: 26 of its egress, 29 of its ingress, 8 of the gate."""
-
-
-def policies(reach: Reach | None = None) -> list[Object]:
-    reach = reach or Reach()
-    return [*(one for _, one in GATE.companions(NAME, reach)), GATE.closed(NAME, reach, epoch=0)]
-
-
-def identity(number: int, **labels: str) -> Object:
-    own = {"k8s:app": f"robot-{number}"} | {f"k8s:{key}": value for key, value in labels.items()}
-    return {
-        "security-labels": {"k8s:io.kubernetes.pod.namespace": "fleet", "k8s:io.cilium.k8s.policy.cluster": "c"} | own
-    }
 
 
 def found(
     identities: Any, settings: Any = None, item: Object | None = None, mine: list[Object] | None = None
 ) -> list[Finding]:
     answers = {
-        cilium_check.IDENTITIES.path(None): {"items": identities} if isinstance(identities, list) else identities,
+        cilium.IDENTITIES.path(None): {"items": identities} if isinstance(identities, list) else identities,
         CONFIG_MAPS.path("kube-system", "cilium-config"): settings or {"data": {}},
         NETWORK_POLICIES.path("fleet"): {"items": policies() if mine is None else mine},
         NODES.path(None): {
@@ -78,8 +63,7 @@ def test_the_room_in_the_policy_map_is_compared_with_the_peers(
 
 def test_only_the_peers_of_a_workload_count() -> None:
     robot = {"podSelector": {"matchLabels": {"app": "robot-17"}}}
-    elsewhere = identity(17)
-    elsewhere["security-labels"]["k8s:io.kubernetes.pod.namespace"] = "other"
+    elsewhere = identity(17, namespace="other")
     own = identity(1, **{names.WORKLOAD: NAME})
     many = [*(identity(number) for number in range(1000)), elsewhere, own]
     (finding,) = found(many, mine=policies(Reach(peers=(robot,))))
@@ -89,6 +73,13 @@ def test_only_the_peers_of_a_workload_count() -> None:
 def test_the_settings_need_not_be_readable() -> None:
     (finding,) = found([identity(1)], Refused(403, "forbidden"))
     assert "of 16384" in finding.found
+
+
+def test_a_size_of_the_maps_that_is_no_number_is_reported_and_the_default_assumed() -> None:
+    wrong, room = found([identity(1)], {"data": {"bpf-policy-map-max": "many"}})
+    assert (wrong.check, wrong.level, room.level) == ("settings of Cilium", "WARN", "OK")
+    assert_golden("doctor", f"{wrong.found}; {wrong.cure}", "bpf-policy-map-max", "'many'", "kube-system/cilium-config")
+    assert_golden("doctor", room.found, "of 16384")
 
 
 @pytest.mark.parametrize(("address", "count"), [("10.0.0.7/32", 1), ("10.0.0.0/24", 1), ("192.168.7.20/32", 0)])
