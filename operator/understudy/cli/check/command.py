@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from understudy.api.output_formats import structured
-from understudy.cli.check import mux_check, reference_check
+from understudy.cli.check import mux_check, reference_check, robot_node_check
 from understudy.cli.common.errors import reports_errors
 from understudy.cli.common.option_rules import add_output
 from understudy.cli.common.text import terminal
@@ -75,6 +75,7 @@ def check(files: Sequence[tuple[str, bytes]]) -> Result:
     config_maps = [one for one in others if one.kind == "ConfigMap"]
     result.findings += config_map_trees.check([one for one in ours if one.kind == "FailurePolicy"], config_maps)
     result.findings += mux_check.check(ours, others)
+    result.findings += robot_node_check.check(ours, others)
     order = {name: number for number, (name, _) in enumerate(files)}
     result.findings = sorted(dict.fromkeys(result.findings), key=lambda one: (order[one.file], one.place))
     return result

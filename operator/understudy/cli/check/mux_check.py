@@ -6,22 +6,21 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from understudy.api import names
+from understudy.cli.check import gated_pods
 from understudy.cli.manifests import mux_container
 from understudy.cli.manifests.check_findings import Finding
 from understudy.cli.manifests.manifest_reader import Manifest, at, items
-from understudy.kube.gates import registry
-from understudy.kube.gates.base import GateKind
 from understudy.ros.rmw import MIDDLEWARE
-
-_TEMPLATES = ("Deployment", "StatefulSet", "DaemonSet", "ReplicaSet")
 
 
 def check(ours: Sequence[Manifest], others: Sequence[Manifest]) -> Iterator[Finding]:
     """Yield what keeps the muxes of these workloads from working, and fields that have no effect with a mux."""
     for workload in (one for one in ours if one.kind == "RobotWorkload" and one.name):
-        pods = [(one, *found) for one in others if workload.together(one) and (found := _pod(one)) is not None]
+        pods = [
+            (one, *found) for one in others if workload.together(one) and (found := gated_pods.pod(one)) is not None
+        ]
         muxes = [pod for pod in pods if mux_container.path(pod[2], names.mux(workload.name))]
-        if not _gate(workload).is_at_robot:
+        if not gated_pods.gate(workload).is_at_robot:
             yield from _never_needed(workload, muxes)
             continue
         for manifest, path, spec in muxes:
@@ -41,25 +40,11 @@ def check(ours: Sequence[Manifest], others: Sequence[Manifest]) -> Iterator[Find
         yield from _beside(workload, ours)
 
 
-def _gate(workload: Manifest) -> GateKind:
-    found = at(workload.data, "spec", "gate", "kind")
-    return registry.KINDS.get(found, registry.DEFAULT) if isinstance(found, str) else registry.DEFAULT
-
-
-def _pod(manifest: Manifest) -> tuple[str, Any] | None:
-    """Return the path and the spec of the pod that a manifest describes; None if it describes none."""
-    if manifest.kind == "Pod":
-        return "spec", at(manifest.data, "spec")
-    if manifest.kind in _TEMPLATES:
-        return "spec.template.spec", at(manifest.data, "spec", "template", "spec")
-    return None
-
-
 def _never_needed(workload: Manifest, muxes: Sequence[tuple[Manifest, str, Any]]) -> Iterator[Finding]:
     for manifest, path, spec in muxes:
         where = f"{path}.{mux_container.path(spec, names.mux(workload.name))}.envFrom"
         message = (
-            f"RobotWorkload {workload.name} has gate kind {_gate(workload).kind}, so nobody writes ConfigMap "
+            f"RobotWorkload {workload.name} has gate kind {gated_pods.gate(workload).kind}, so nobody writes ConfigMap "
             f"{names.mux(workload.name)}, and the pod does not start: set spec.gate.kind of the workload, or remove the container"
         )
         yield manifest.finding(where, message, warning=True)
