@@ -1,6 +1,6 @@
-"""On Cilium with 1,000 peers: with too small policy maps, an open gate is reported; with the documented setting, no gate is open.
+"""On Cilium with 1,000 peers: too small policy maps and an open gate are reported; with the documented setting, no gate is open.
 
-A pod of which only the identity exists counts like any other peer. Which of the two tests runs depends on the settings of the cluster:
+A pod of which only the identity exists counts like any other peer. Which of the tests run depends on the settings of the cluster:
 ``UNDERSTUDY_CILIUM_SETTINGS='{"bpf-policy-map-max": "65536"}' scripts/cluster up --network cilium``.
 """
 
@@ -14,6 +14,7 @@ import pytest
 from tests.e2e.console import understudy
 from tests.e2e.kubectl import Failed, Kubectl, Object
 from tests.e2e.scenario import Robot, eventually
+from understudy.controller.reconcile.policy_maps import EVERY
 from understudy.kube.gates.cilium import ENTRIES
 
 pytestmark = [pytest.mark.local_only, pytest.mark.network_policy, pytest.mark.long]
@@ -99,6 +100,19 @@ def test_an_open_gate_is_reported_within_seconds_beyond_the_room_of_the_policy_m
     eventually(lambda: _enforced(executing) == ("False", "NotEnforced"), within=30, what="the open gate is reported")
     print(f"reported {time.time() - runs:.1f} s after the standby ran")
     assert time.time() - runs < REPORTED + 3.0, "its agent sends the first packet up to 3 s after its pod runs"
+
+
+def test_the_operator_reports_that_the_policy_maps_have_too_little_room(executing: Robot, crowd: None) -> None:
+    """With either size: 1,000 peers need nearly all of the largest maps."""
+    expected = "PolicyMapFull" if _room(executing.kubectl) <= ENTRIES else "PolicyMapNearlyFull"
+
+    def reported() -> bool:
+        found = executing.condition("PolicyMapSufficient")
+        return (found.get("status"), found.get("reason")) == ("False", expected)
+
+    eventually(reported, within=EVERY + 60.0, what="the operator reports the room")
+    events = executing.kubectl.list("events")
+    assert ("Warning", expected) in {(one["type"], one["reason"]) for one in events}
 
 
 def test_no_gate_is_open_with_the_documented_setting(executing: Robot, crowd: None) -> None:

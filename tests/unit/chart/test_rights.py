@@ -12,8 +12,19 @@ from tests.unit.chart.conftest import Render, one
 from understudy.controller.desired import monitor_deployment
 from understudy.controller.reconcile.executor import RESIZE
 from understudy.controller.runtime import kopf_handlers, resync, watches
-from understudy.kube.client import ENDPOINT_SLICES, EVENTS, LEASES, NODES, PODS, POLICIES, POOLS, WORKLOADS, Resource
-from understudy.kube.gates import registry
+from understudy.kube.client import (
+    CONFIG_MAPS,
+    ENDPOINT_SLICES,
+    EVENTS,
+    LEASES,
+    NODES,
+    PODS,
+    POLICIES,
+    POOLS,
+    WORKLOADS,
+    Resource,
+)
+from understudy.kube.gates import cilium, registry
 
 Right = tuple[str, str, str]
 """API group, resource and verb."""
@@ -70,6 +81,7 @@ def _used() -> set[Right]:
     found.add(("", f"{PODS.plural}/{RESIZE}", "patch"))
     found |= {("apps", resource, "get") for resource in ("deployments", "statefulsets")}
     found |= _each(ENDPOINT_SLICES, "get")
+    found |= _each(cilium.IDENTITIES, "list")
     found |= {("apiextensions.k8s.io", "customresourcedefinitions", verb) for verb in ("list", "watch")}
     return found
 
@@ -106,6 +118,20 @@ def test_the_operator_has_no_wildcards_and_cannot_escalate_or_change_specs(held:
         "get",
         "list",
         "watch",
+    }
+
+
+def test_the_settings_of_cilium_are_the_only_object_of_the_system_that_the_operator_may_read(render: Render) -> None:
+    (role,) = [item for item in render() if item["kind"] == "Role" and item["metadata"]["namespace"] == cilium.SYSTEM]
+    (rule,) = role["rules"]
+    assert (rule["resourceNames"], _rights([rule])) == ([cilium.SETTINGS], _each(CONFIG_MAPS, "get"))
+
+
+def test_without_the_rights_to_cilium_nothing_is_in_the_namespace_of_the_system(render: Render) -> None:
+    items = render("rbac.cilium=false")
+    assert not [item for item in items if item["metadata"].get("namespace") == cilium.SYSTEM]
+    assert "cilium.io" not in {
+        group for group, _, _ in _rights(one(items, "ClusterRole", "understudy-operator")["rules"])
     }
 
 

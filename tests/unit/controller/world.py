@@ -19,6 +19,7 @@ from understudy.controller.pods import instance_pod, pool_pods
 from understudy.controller.status import workload_status
 from understudy.kube import apply
 from understudy.kube.client import Object
+from understudy.kube.gates.cilium import PolicyMapUse
 
 NAMESPACE = "fleet"
 NOW = 1_700_000_000.0
@@ -253,6 +254,8 @@ class World:
         self.nodes: list[Object] = []
         self.budgets: list[Object] = []
         self.going: frozenset[str] = frozenset()
+        self.policy_map: PolicyMapUse | None = None
+        self.policy_map_known = True
         self.now = NOW
         self.names = Names()
         self.own(service(item))
@@ -287,6 +290,8 @@ class World:
             nodes=self.nodes,
             budgets=self.budgets,
             going=self.going,
+            policy_map=self.policy_map,
+            policy_map_known=self.policy_map_known,
         )
 
     def understood(self) -> WorkloadPlan:

@@ -40,6 +40,7 @@ _ABOUT = {
     "Reconciled": "not reconciled",
     "Protected": "not protected",
     "MemorySufficient": "memory of the monitor too low",
+    "PolicyMapSufficient": "too little room in Cilium's policy map",
     "Monitored": "not fully monitored",
     "Healthy": "not healthy",
     "Degraded": "degraded",

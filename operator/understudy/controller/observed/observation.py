@@ -15,6 +15,7 @@ from understudy.controller.observed import committed_recovery, kube_objects, poo
 from understudy.controller.plan import Problem
 from understudy.kube.client import CONFIG_MAPS, Object
 from understudy.kube.gates import registry
+from understudy.kube.gates.cilium import PolicyMapUse
 
 _UNDER_WAY: tuple[Phase, ...] = ("Preparing", "Switching")
 """The phases of a planned switchover that use an understudy."""
@@ -66,6 +67,10 @@ class Observed:
     """The deleted shared pools that still have claimable pods, of those whose agents the monitor may command."""
     apiservers: tuple[tuple[str, int], ...] = ()
     """Addresses and ports of the API server, if the workload has a reflex."""
+    policy_map: PolicyMapUse | None = None
+    """What the gate needs of Cilium's policy map, if there is little room; None if there is enough, or the network is not Cilium."""
+    policy_map_known: bool = False
+    """Whether the operator has looked for that."""
 
     def left(self, seconds: float, *, since: float) -> float:
         """Return how many seconds are left of this many since a time (Unix seconds); not above 0 if they have passed."""

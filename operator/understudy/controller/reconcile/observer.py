@@ -25,6 +25,7 @@ from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.change_index import Key
 from understudy.controller.reconcile.expectations import Expectations
 from understudy.controller.reconcile.object_store import Store
+from understudy.controller.reconcile.policy_maps import PolicyMaps
 from understudy.controller.status import workload_status
 from understudy.kube import claims, selectors
 from understudy.kube.apiserver_addresses import ApiServerAddresses
@@ -60,8 +61,12 @@ class Reader(Protocol):
 class Observer:
     """Observes the state around one workload or pool."""
 
-    def __init__(self, client: Reader, store: Store, expectations: Expectations) -> None:
+    def __init__(
+        self, client: Reader, store: Store, expectations: Expectations, policy_maps: PolicyMaps | None = None
+    ) -> None:
+        """Without ``policy_maps``, nothing is observed of their room."""
         self._client, self._store, self._expectations = client, store, expectations
+        self._policy_maps = policy_maps
         self._apiservers = ApiServerAddresses(client, os.environ)
         self._looked: dict[tuple[str, str], tuple[str, str]] = {}
         """By namespace and name: the UIDs of the pool for which an older Secret was read, and of the Secret found."""
@@ -105,6 +110,8 @@ class Observer:
             budgets=self._budgets(namespace),
             going=frozenset(self._going(namespace, store.get(ROLES, namespace, names.monitor(name)))),
             apiservers=await self._apiservers.read() if _has_reflex(item) else (),
+            policy_map=self._policy_maps.low(namespace, name) if self._policy_maps is not None else None,
+            policy_map_known=self._policy_maps is not None and self._policy_maps.known,
         )
 
     def instance(self, workload: Object, pod: Object) -> Observed:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Mapping
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector
 
@@ -57,6 +58,12 @@ _STORM = Gauge(
     ["namespace", "policy"],
     registry=REGISTRY,
 )
+_POLICY_MAPS = Gauge(
+    "understudy_policy_map_used_ratio",
+    "Share of Cilium's policy map that an instance of a workload needs; above 1, Cilium no longer enforces changes of the gate.",
+    ["namespace", "workload"],
+    registry=REGISTRY,
+)
 MISSED = Counter(
     "understudy_watch_missed_total",
     "Changes that the watches missed and a list of all objects showed, by resource.",
@@ -85,3 +92,10 @@ def storm(namespace: str, policy: str, on: bool | None) -> None:
         return
     with contextlib.suppress(KeyError):
         _STORM.remove(namespace, policy)
+
+
+def policy_maps(shares: Mapping[tuple[str, str], float]) -> None:
+    """Set the used share of the policy maps, by the namespace and the name of each workload of which it is known."""
+    _POLICY_MAPS.clear()
+    for labels, share in shares.items():
+        _POLICY_MAPS.labels(*labels).set(share)

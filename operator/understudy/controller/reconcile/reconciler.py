@@ -25,7 +25,7 @@ from understudy.controller.reconcile.observer import Observer
 from understudy.controller.reconcile.rollouts import Rollouts
 from understudy.controller.reconcile.template_validation import FORGET_REFUSAL, Judge
 from understudy.controller.reconcile.tree_judge import TreeJudge
-from understudy.controller.status import policy_status, pool_status, storm_detection, workload_status
+from understudy.controller.status import policy_map_room, policy_status, pool_status, storm_detection, workload_status
 from understudy.kube.client import (
     CONFIG_MAPS,
     PODS,
@@ -77,6 +77,7 @@ WITHDRAWN = frozenset(
         pool_pods.MOVING,
         dependency_graph.RESOLVED,
         storm_detection.CONDITION,
+        policy_map_room.CONDITION,
     }
 )
 """Conditions that are removed if they have nothing to report."""

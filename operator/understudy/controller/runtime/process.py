@@ -28,6 +28,7 @@ from understudy.controller.reconcile.executor import MANAGER, Executor
 from understudy.controller.reconcile.expectations import Expectations
 from understudy.controller.reconcile.object_store import Store
 from understudy.controller.reconcile.observer import Observer
+from understudy.controller.reconcile.policy_maps import PolicyMaps
 from understudy.controller.reconcile.reconciler import Reconciler
 from understudy.controller.reconcile.rollouts import PERCENT, Rollouts
 from understudy.controller.reconcile.tree_judge import TreeJudge
@@ -76,17 +77,25 @@ async def run(access: Access, options: Options, *, stop: asyncio.Event | None = 
     async with Client(access, timeout=20, connections=0, listener=operator_metrics.TRAFFIC) as client:
         lease = Lease(client, options.lease_namespace, options.lease, options.identity, timing=options.timing)
         store, expectations = Store(), Expectations()
+        policy_maps = PolicyMaps(client, store)
         reconciler = Reconciler(
             client,
             store,
-            Observer(client, store, expectations),
+            Observer(client, store, expectations, policy_maps),
             Executor(client, store, expectations, may_write=lambda: lease.held),
             Recorder(client, MANAGER, options.identity),
             options.images,
             Rollouts(store, percent=options.rollout_percent),
             TreeJudge(TreeChecker()),
         )
-        operator = Operator(client, store, reconciler, namespaces=options.namespaces, resync_every=options.resync_every)
+        operator = Operator(
+            client,
+            store,
+            reconciler,
+            namespaces=options.namespaces,
+            resync_every=options.resync_every,
+            policy_maps=policy_maps,
+        )
         fleet = FleetMetrics(store, lambda: lease.held)
         operator_metrics.REGISTRY.register(fleet)
         pages: dict[str, http_pages.Page] = {

@@ -13,6 +13,7 @@ from understudy.controller.reconcile import change_index, operator_metrics
 from understudy.controller.reconcile.change_index import Key
 from understudy.controller.reconcile.executor import NamespaceTerminating, Stale
 from understudy.controller.reconcile.object_store import ObservedChange, Store
+from understudy.controller.reconcile.policy_maps import PolicyMaps
 from understudy.controller.reconcile.reconciler import Reconciler
 from understudy.controller.runtime import resync
 from understudy.controller.runtime.work_queue import Queue
@@ -44,9 +45,18 @@ class Operator:
     """One replica's watches and lists, and its workers while it leads."""
 
     def __init__(
-        self, client: Client, store: Store, reconciler: Reconciler, *, namespaces: Sequence[str], resync_every: float
+        self,
+        client: Client,
+        store: Store,
+        reconciler: Reconciler,
+        *,
+        namespaces: Sequence[str],
+        resync_every: float,
+        policy_maps: PolicyMaps | None = None,
     ) -> None:
-        self._store, self._reconciler = store, reconciler
+        self._store, self._reconciler, self._policy_maps = store, reconciler, policy_maps
+        if policy_maps is not None:
+            policy_maps.changed = self._add
         store.noticed = self._enqueue
         if reconciler.trees is not None:
             reconciler.trees.judged = lambda key: self._add(key, 0)
@@ -153,6 +163,8 @@ class Operator:
                 group.create_task(self._work())
             if self._reconciler.trees is not None:
                 group.create_task(self._reconciler.trees.run())
+            if self._policy_maps is not None:
+                group.create_task(self._policy_maps.run())
 
     async def _work(self) -> None:
         while True:

@@ -22,7 +22,7 @@ from understudy.controller.observed import (
 )
 from understudy.controller.observed.observation import Observed
 from understudy.controller.plan import Problem
-from understudy.controller.status import protection
+from understudy.controller.status import policy_map_room, protection
 from understudy.kube.client import Object
 
 PROGRESSING = frozenset(
@@ -68,6 +68,7 @@ def status(
         *dependency_graph.resolved(observed.dependencies, workload),
         *([resized] if resized is not None else []),
         *node_drain.conditions(observed, workload_plan),
+        *_policy_map(observed),
     ]
     return {
         "standby": protection.standby(observed, workload_plan),
@@ -162,6 +163,13 @@ def _memory(observed: Observed, workload_plan: WorkloadPlan) -> list[Condition]:
         return _last(observed, monitor_memory.CONDITION)
     name = spec.failure_policy_ref.name
     return monitor_memory.judged(workload_plan.memory, name, policy_reader.spec(observed.policies[name]))
+
+
+def _policy_map(observed: Observed) -> list[Condition]:
+    """Return the condition for the room in Cilium's policy map. Until the operator has looked, the last condition stays."""
+    if not observed.policy_map_known:
+        return _last(observed, policy_map_room.CONDITION)
+    return policy_map_room.conditions(observed.policy_map)
 
 
 def _last(observed: Observed, type_: str) -> list[Condition]:

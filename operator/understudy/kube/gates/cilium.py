@@ -109,8 +109,8 @@ class PolicyMapUse:
     def consequence(self) -> str:
         """Return what Cilium does beyond the limit."""
         if self.settings.closes:
-            return "it closes the gate of everybody"
-        return "it no longer enforces changes, so several instances may drive a robot"
+            return "Cilium closes the gate of everybody"
+        return "Cilium no longer enforces changes, so several instances may drive a robot"
 
 
 def policy_map_use(
