@@ -32,7 +32,7 @@ from understudy.monitor.decide.stage import DecideStage, Resolution
 from understudy.monitor.judge.reassessment import fences_a_failure
 from understudy.monitor.judge.sole_driver import PERIOD
 from understudy.monitor.judge.stage import Judgement, JudgeStage
-from understudy.monitor.notices import Notices
+from understudy.monitor.notices import ConditionReport, Notices
 from understudy.monitor.observe.objects import interrupted_recovery
 from understudy.monitor.observe.senses import Senses
 from understudy.monitor.observe.stage import ObserveStage
@@ -353,6 +353,7 @@ class MonitorLoop:
         self.act.labels.follow()
         self._drain()
         self.judge.sole_driver.update(self._pods.of_workload(), now)
+        self._report_enforcement(now)
         if self.decide.limits.pauses.on is None:
             self.act.leaks.respond_during(self._senses.current, now)
             self.act.raise_epoch()
@@ -360,12 +361,17 @@ class MonitorLoop:
             if (progress := self._senses.current.progress) is not None:
                 await self.act.restore_record(progress)
 
+    def _report_enforcement(self, now: float) -> ConditionReport:
+        """Report whether the gate is enforced, and return the report."""
+        others = [i for i in self._pods.of_workload() if i.uid != self.act.switchovers.preparing]
+        judged = self.judge.enforcement.judge(others, self.judge.sole_driver.passing(now))
+        self.judge.enforcement.report(judged)
+        return judged
+
     def _housekeeping(self) -> None:
         """Do the work that is not urgent. Returns at once."""
         self.act.keep_connected()
-        others = [i for i in self._pods.of_workload() if i.uid != self.act.switchovers.preparing]
-        judged = self.judge.enforcement.judge(others)
-        self.judge.enforcement.report(judged)
+        judged = self._report_enforcement(time.time())
         policy, settings = self._view.policy, self._view.settings
         if policy is None or settings is None:
             return

@@ -64,6 +64,7 @@ def test_a_gate_in_an_unknown_state_raises_no_alert() -> None:
     unknown = [
         judge([active], "1", last, now=100.0, since=99.5),
         judge([], "1", last, now=100.0, since=0.0),
+        judge([held], "", last, now=100.0, since=0.0),
         judge([active], "1", last, now=100.0, since=0.0),
         judge([active, held], "1", last, now=100.0, since=0.0, admitted_uid="2"),
     ]

@@ -39,35 +39,40 @@ def judge(
     now: float,
     since: float,
     admitted_uid: str = "",
+    passing: Sequence[str] = (),
     leak_hint: str = "",
     block_hint: str = "",
 ) -> ConditionReport:
     """Return status, reason and message of the condition GateEnforced.
 
     ``last`` has the time of the last probe of each pod, by UID; ``since`` is when the gate last changed, in Unix seconds;
-    ``admitted_uid`` is the UID of a standby that the gate lets through too; the hints are those of the gate's proof. Reason
-    Admitted: no other standby is left to test the gate with, so the result from before that standby was admitted still counts.
+    ``admitted_uid`` is the UID of a standby that the gate lets through too; ``passing`` names the pods whose packets pass a gate that no
+    longer admits them (sole_driver.py); the hints are those of the gate's proof. Reason Admitted: no other standby is left to test the gate
+    with, so the result from before that standby was admitted still counts.
     """
     # A pod that is being deleted still sends, but its silence does not show that the gate blocks it.
     running = [i for i in instances if i.has_agent and i.running and not i.held]
     probing = [i for i in running if not i.terminating]
-    if now - since < SETTLE:
+    is_settling = now - since < SETTLE
+    if is_settling and not passing:
         return "Unknown", "Settling", "The gate has just changed, and its effect has not been tested yet."
-    leaking = [
+    leaking = {*passing} | {
         i.name
         for i in running
         # A probe after ``now`` was received before the clock was set back.
         if i.uid not in (active_uid, admitted_uid)
         and max(since + SETTLE, now - LEAK_LASTS) < last.get(i.uid, 0.0) <= now
-    ]
+    }
     if leaking:
         return (
             "False",
             "NotEnforced",
-            f"The gate does not admit {', '.join(leaking)}, but packets of that pod pass it. Two instances could command the robot at "
-            "the same time. "
+            f"The gate does not admit {', '.join(sorted(leaking))}, but packets of that pod pass it. Two instances could command the robot "
+            "at the same time. "
             f"{leak_hint}".rstrip(),
         )
+    if not active_uid:
+        return "Unknown", "Closed", "The gate admits nobody. No packet has passed it since it was closed."
     active = next((i for i in probing if i.uid == active_uid), None)
     if active is None:
         return "Unknown", "NoProbe", "The active pod has no agent, so the gate cannot be tested."
@@ -135,8 +140,11 @@ class GateEnforcement:
         """Whether the robot cannot be reached, as far as somebody at the gate shows it."""
         return self._probes.is_away
 
-    def judge(self, instances: Sequence[Instance]) -> ConditionReport:
-        """Judge the gate by the probes of these instances, by the robot's readers, and by the interfaces of all instances."""
+    def judge(self, instances: Sequence[Instance], passing: Sequence[str] = ()) -> ConditionReport:
+        """Judge the gate by the probes of these instances, by the robot's readers, and by the interfaces of all instances.
+
+        ``passing`` is that of :meth:`SoleDriver.passing`.
+        """
         self.update(time.time())
         state = self._gate.state
         if (reported := self._probes.reported(state.active)) is not None:
@@ -149,6 +157,7 @@ class GateEnforcement:
             now=time.time(),
             since=CLOCK.to_system(self._changed),
             admitted_uid=state.admitted_uid,
+            passing=passing,
             leak_hint=self._probes.leak_hint,
             block_hint=self._probes.block_hint,
         )

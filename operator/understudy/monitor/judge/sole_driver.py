@@ -368,6 +368,11 @@ class SoleDriver:
                 found.append(Sign(f"the pod with UID {uid}", "", PROBES, last, pod_uid=uid, interval=PROBED))
         return found
 
+    def passing(self, now: float) -> Sequence[str]:
+        """Return the instances whose test packets still pass the gate, for longer than the network may need to enforce a change."""
+        tracks = (one for one in self._tracks.values() if one.sign.uid and one.sign.via == PROBES)
+        return sorted(one.sign.name for one in tracks if one.lasts and one.goes_on(now))
+
     def may_be_driven(self, now: float) -> bool:
         """Return whether an instance that drove before may still drive, so that the gate must not open for another one.
 

@@ -312,6 +312,22 @@ async def test_a_leak_of_the_failed_instance_is_ended_while_its_recovery_waits_f
     assert driven.graces == [("uid-1", 1)]
 
 
+async def test_an_open_gate_is_reported_during_a_recovery(tmp_path: Path) -> None:
+    driven = Driven(tmp_path, FORMER)
+    objects = driven.objects
+    objects.put_policy(policy_of({"type": "Restart"}))
+    objects.client.store(REPLICA_SETS, "fleet", {"metadata": {"name": "w"}, "spec": {"replicas": 1}})
+    driven.observer.health = Verdict("Failed", "no /cmd_vel for 500 ms", "", time.time())
+    running = asyncio.create_task(driven.monitor.loop.run())
+    async with asyncio.timeout(5):
+        while not objects.gate.state.closed:  # until another pod runs, which does not happen
+            await asyncio.sleep(0.01)
+        while driven.notices.conditions.get("GateEnforced", ())[:2] != ("False", "NotEnforced"):
+            objects.packets["uid-1"] = time.time()
+            await asyncio.sleep(0.05)
+    running.cancel()
+
+
 async def test_an_edited_gate_is_restored_during_a_recovery(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also after a look for leaks that ended with an error."""
     driven = Driven(tmp_path, FORMER)

@@ -93,6 +93,17 @@ def test_just_after_a_commit_the_gate_is_not_judged() -> None:
     assert judge([ACTIVE, STANDBY], "uid-w-1", {"uid-w-2": NOW}, now=NOW, since=NOW - 1)[0] == "Unknown"
 
 
+def test_packets_that_pass_for_longer_than_the_network_needs_show_at_once_that_it_does_not_enforce() -> None:
+    judged = judge([ACTIVE, STANDBY], "uid-w-1", {}, now=NOW, since=NOW - 1, passing=["w-2"])
+    assert judged[:2] == ("False", "NotEnforced")
+    assert "w-2" in judged[2]
+
+
+def test_a_gate_that_admits_nobody_is_not_judged_unless_packets_pass_it() -> None:
+    assert judge([ACTIVE, STANDBY], "", {}, now=NOW, since=SINCE)[:2] == ("Unknown", "Closed")
+    assert judge([ACTIVE, STANDBY], "", {}, now=NOW, since=SINCE, passing=["w-1"])[:2] == ("False", "NotEnforced")
+
+
 def test_a_pod_without_an_agent_is_not_judged() -> None:
     foreign = instance("d-1", has_agent=False)
     assert judge([foreign, STANDBY], "uid-d-1", {}, now=NOW, since=SINCE)[:2] == ("Unknown", "NoProbe")

@@ -181,6 +181,9 @@ def test_probes_that_pass_the_gate_are_signs_whatever_kind_of_output_the_workloa
     assert f"w-1 by {PROBES}" in watched.condition[2]
     (leak,) = watched.judged.leaks
     assert (leak.uid, leak.is_former) == ("uid-w-1", True)
+    assert watched.judged.passing(watched.now) == ["w-1"]
+    watched.update(2 * LASTS + PERIOD)
+    assert not watched.judged.passing(watched.now), "it has ended"
 
 
 def test_an_instance_whose_pod_is_gone_counts() -> None:
