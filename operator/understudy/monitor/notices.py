@@ -280,7 +280,7 @@ class RecoveryStopped(Notice):
 
 @dataclass(frozen=True)
 class StatusAwaited(Notice):
-    """Other workloads wait for the status as it is now."""
+    """Others wait for the status as it is now: other workloads, or people who may have to act."""
 
 
 @dataclass(frozen=True)

@@ -175,3 +175,4 @@ class GateEnforcement:
         is_kept = judged[1] == "Admitted" or (self._settling_since is not None and now - self._settling_since < KEPT)
         if not is_kept and self._notices.condition(CONDITION, *judged) and judged[0] == "False":
             self._notices.event("Warning", f"Gate{judged[1]}", judged[2])
+            self._notices.request_write()  # also during a recovery: somebody may have to stop the robot

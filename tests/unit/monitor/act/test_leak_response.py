@@ -25,7 +25,7 @@ from understudy.kube.gates.base import Reach
 from understudy.monitor.act.gate import gate_opening, leak_response
 from understudy.monitor.judge import sole_driver
 from understudy.monitor.judge.sole_driver import MEMORY, QUIET
-from understudy.monitor.notices import LeaksCounted
+from understudy.monitor.notices import LeaksCounted, StatusAwaited
 from understudy.monitor.observe.robot.known_senders import KnownSender, OutputSender
 from understudy.monitor.outcome import Outcome
 from understudy.trees.core.health_tree import Verdict
@@ -326,6 +326,7 @@ async def test_an_open_gate_is_reported_during_a_recovery(tmp_path: Path) -> Non
             objects.packets["uid-1"] = time.time()
             await asyncio.sleep(0.05)
     running.cancel()
+    assert StatusAwaited() in driven.notices.log, "it does not wait for the end of the recovery"
 
 
 async def test_an_edited_gate_is_restored_during_a_recovery(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
