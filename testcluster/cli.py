@@ -141,7 +141,7 @@ def _add_network(network: argparse.ArgumentParser) -> None:
         type=float,
         default=0.0,
         metavar="SECONDS",
-        help="changes of pods' labels are applied so much later",
+        help="changes of the labels of pods and namespaces are applied so much later, and no policy of these pods changes until then",
     )
 
 

@@ -13,7 +13,8 @@ class NetworkModes:
         deaf: no change of the cluster is applied; what was missed is applied when the mode ends.
         lag: the delay of each change, in milliseconds.
         keep_vanished: a pod whose object is deleted before its network keeps what it was allowed last.
-        label_lag: the delay of changes of pods' labels, in seconds.
+        label_lag: the delay of changes of the labels of pods and namespaces, in seconds. Until then, no change of a policy is
+            applied to these pods. Labels of pods whose keys begin with ``annotation`` are applied at once. Cilium does the same.
     """
 
     established: bool = False

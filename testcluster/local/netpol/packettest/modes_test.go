@@ -2,6 +2,8 @@ package packettest
 
 import (
 	"encoding/json"
+	"fmt"
+	"maps"
 	"net/netip"
 	"os"
 	"path/filepath"
@@ -10,6 +12,7 @@ import (
 	"testing"
 	"time"
 
+	corev1 "k8s.io/api/core/v1"
 	networkingv1 "k8s.io/api/networking/v1"
 
 	"understudy/testcluster/understudy-netpol/internal/enforcer"
@@ -192,26 +195,123 @@ func TestAVanishedPodIsForgottenWhenTheModeEnds(t *testing.T) {
 	w.expect(t, flows("active -> robot udp/7950"), false)
 }
 
-func TestAChangeOfLabelsLagsAndNothingElseDoes(t *testing.T) {
-	const lag = 600 * time.Millisecond
-	w := newWorld(t)
-	w.enforce(t)
-	w.setPolicy(t, policyOf(t, "p", `{podSelector: {matchLabels: {instance: shut}}, policyTypes: [Egress]}`))
-	w.inMode(t, `{"labelLagSeconds": 0.6}`)
-	pod := w.pod("active")
-	pod.Labels["instance"], pod.ResourceVersion = "shut", w.version()
-	from, asked := len(w.nodes[0].seen()), time.Now()
+// labelLag is that of the tests below, in which each step takes a few milliseconds.
+const labelLag = 2 * time.Second
+
+// relabel changes labels of a pod of node 0, and returns the version and the time of the change.
+func (w *world) relabel(t *testing.T, name string, labels map[string]string) (version string, asked time.Time) {
+	t.Helper()
+	pod := w.pod(name)
+	maps.Copy(pod.Labels, labels)
+	pod.ResourceVersion = w.version()
+	asked = time.Now()
 	w.api.set(t, pod)
-	commits := w.setPolicy(t, policyOf(t, "other", `{podSelector: {matchLabels: {app: camera}}, policyTypes: [Egress]}`))
-	if applied := commits[0].Committed.Sub(asked); applied >= lag {
-		t.Errorf("a policy lags too: %v", applied)
-	}
-	w.expect(t, flows("active -> robot udp/7950"), true)
-	commit := w.nodes[0].wait(t, from, caused("Pod", pod.ResourceVersion))
-	if applied := commit.Committed.Sub(asked); applied < lag || applied > lag+400*time.Millisecond {
+	return pod.ResourceVersion, asked
+}
+
+// expectDue waits for the commit with a change, which is due after the lag.
+func (w *world) expectDue(t *testing.T, from int, kind, version string, asked time.Time) {
+	t.Helper()
+	applied := w.nodes[0].wait(t, from, caused(kind, version)).Committed.Sub(asked)
+	if applied < labelLag || applied > labelLag+400*time.Millisecond {
 		t.Errorf("the labels were applied after %v", applied)
 	}
+}
+
+// closed is a policy that lets pods with these labels send nothing.
+func closed(t *testing.T, name, labels string) *networkingv1.NetworkPolicy {
+	return policyOf(t, name, fmt.Sprintf(`{podSelector: {matchLabels: {%s}}, policyTypes: [Egress]}`, labels))
+}
+
+func TestAChangeOfLabelsLags(t *testing.T) {
+	w := newWorld(t)
+	w.enforce(t)
+	w.setPolicy(t, closed(t, "by-label", "instance: shut"))
+	w.setPolicy(t, policyOf(t, "by-peer", `{podSelector: {matchLabels: {app: robot}}, policyTypes: [Ingress], ingress: [
+		{from: [{podSelector: {matchExpressions: [{key: instance, operator: NotIn, values: [shut]}]}}]}]}`))
+	for node := range w.nodes {
+		if refused := w.setModes(t, node, `{"labelLagSeconds": 2}`); refused != "" {
+			t.Fatal(refused)
+		}
+	}
+	from := len(w.nodes[0].seen())
+	version, asked := w.relabel(t, "active", map[string]string{"instance": "shut"})
+	w.expect(t, flows("active -> robot udp/7950", "active -> dashboard udp/7950"), true)
+	w.expectDue(t, from, "Pod", version, asked)
+	w.expect(t, flows("active -> robot udp/7950", "active -> dashboard udp/7950"), false)
+}
+
+// TestWhileLabelsLagNoPolicyOfThePodChanges is what Cilium does until it knows the identity of the new labels.
+func TestWhileLabelsLagNoPolicyOfThePodChanges(t *testing.T) {
+	w := newWorld(t)
+	w.enforce(t)
+	toRobot := func(port int) *networkingv1.NetworkPolicy {
+		return policyOf(t, "rules", fmt.Sprintf(`{podSelector: {matchLabels: {app: nav}}, policyTypes: [Egress], egress: [
+			{to: [{podSelector: {matchLabels: {app: robot}}}], ports: [{port: %d, protocol: UDP}]}]}`, port))
+	}
+	open := policyOf(t, "deleted", `{podSelector: {matchLabels: {instance: active}}, policyTypes: [Egress], egress: [{ports: [{port: 80}]}]}`)
+	w.setPolicy(t, toRobot(7950))
+	w.setPolicy(t, closed(t, "selector", "app: none"))
+	w.setPolicy(t, open)
+	w.inMode(t, `{"labelLagSeconds": 2}`)
+	from := len(w.nodes[0].seen())
+	version, asked := w.relabel(t, "active", map[string]string{"note": "unrelated"})
+	w.setPolicy(t, toRobot(7949))
+	w.setPolicy(t, closed(t, "selector", "app: camera"))
+	w.setPolicy(t, policyOf(t, "new", `{podSelector: {matchLabels: {instance: active}}, policyTypes: [Egress], egress: [{ports: [{port: 8000}]}]}`))
+	w.deletePolicy(t, open)
+	before, after := flows("active -> robot udp/7950", "active -> robot tcp/80"), flows("active -> robot udp/7949", "active -> robot tcp/8000")
+	w.expect(t, before, true)
+	w.expect(t, after, false)
+	w.expect(t, flows("standby -> robot udp/7949"), true)
+	w.expect(t, flows("standby -> robot udp/7950", "camera -> robot udp/7950"), false)
+	if took := time.Since(asked); took > labelLag {
+		t.Skipf("the machine is too busy: this took %v", took)
+	}
+	w.expectDue(t, from, "Pod", version, asked)
+	w.expect(t, before, false)
+	w.expect(t, after, true)
+}
+
+func TestALabelThatBeginsWithAnnotationDoesNotLag(t *testing.T) {
+	w := newWorld(t)
+	w.enforce(t)
+	w.setPolicy(t, closed(t, "by-label", "annotation.example.com/by: me"))
+	w.inMode(t, `{"labelLagSeconds": 60}`)
+	from := len(w.nodes[0].seen())
+	version, _ := w.relabel(t, "active", map[string]string{"annotation.example.com/by": "me"})
+	w.nodes[0].wait(t, from, caused("Pod", version))
 	w.expect(t, flows("active -> robot udp/7950"), false)
+	w.setPolicy(t, closed(t, "by-label", "app: camera"))
+	w.expect(t, flows("active -> robot udp/7950"), true)
+	// It does not prolong the lag of other labels, and is in force after it.
+	w.inMode(t, `{"labelLagSeconds": 2}`)
+	version, asked := w.relabel(t, "active", map[string]string{"note": "unrelated"})
+	from = len(w.nodes[0].seen())
+	time.Sleep(labelLag / 2)
+	w.relabel(t, "active", map[string]string{"note": "unrelated", "annotation.example.com/by": "you"})
+	w.setPolicy(t, closed(t, "by-label", "annotation.example.com/by: you"))
+	w.expectDue(t, from, "Pod", version, asked)
+	w.expect(t, flows("active -> robot udp/7950"), false)
+}
+
+func TestAChangeOfLabelsOfANamespaceLagsForAllOfItsPods(t *testing.T) {
+	w := newWorld(t)
+	w.enforce(t)
+	w.setPolicy(t, policyOf(t, "by-namespace", `{podSelector: {matchLabels: {app: camera}}, policyTypes: [Egress], egress: [
+		{to: [{namespaceSelector: {matchLabels: {team: robots}}, podSelector: {}}]}]}`))
+	w.inMode(t, `{"labelLagSeconds": 2}`)
+	namespace := w.table.NamespaceObjects()[slices.IndexFunc(w.table.NamespaceObjects(), func(n *corev1.Namespace) bool { return n.Name == "fleet" })]
+	namespace.Labels["team"], namespace.ResourceVersion = "none", w.version()
+	from, asked := len(w.nodes[0].seen()), time.Now()
+	w.api.set(t, namespace)
+	again := namespace.DeepCopy()
+	again.ResourceVersion, again.Annotations = w.version(), map[string]string{"note": "no change of labels"}
+	w.api.set(t, again)
+	w.setPolicy(t, shut(t))
+	w.expect(t, flows("active -> robot udp/7950", "camera -> robot udp/7950"), true)
+	w.expectDue(t, from, "Namespace", namespace.ResourceVersion, asked)
+	w.expect(t, flows("active -> robot udp/7950", "camera -> robot udp/7950"), false)
 }
 
 func TestModesThatAreNotKnownAreRefused(t *testing.T) {

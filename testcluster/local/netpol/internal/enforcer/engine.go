@@ -44,7 +44,7 @@ type Engine struct {
 
 	modeFile modeFile
 	modes    Modes
-	relabels []relabel        // in the order of their receipt
+	relabels []change         // in the order of their receipt
 	waiting  <-chan time.Time // until the first change is due that a mode holds back
 }
 
@@ -177,9 +177,12 @@ func (g *Engine) absorbAll(list []change) {
 		}
 		var matters bool
 		var problems []error
-		if change.pod != nil {
-			matters = g.setPod(change.pod, change)
-		} else {
+		switch {
+		case change.pod != nil:
+			matters = g.setPod(change)
+		case change.apply == nil:
+			matters = g.setNamespace(change)
+		default:
 			matters, problems = change.apply(g.index)
 		}
 		for _, problem := range problems {

@@ -10,7 +10,10 @@ import (
 	"io/fs"
 	"log/slog"
 	"os"
+	"slices"
 	"time"
+
+	"k8s.io/apimachinery/pkg/labels"
 
 	"understudy/testcluster/understudy-netpol/internal/policy"
 )
@@ -25,7 +28,8 @@ type Modes struct {
 	LagMilliseconds uint `json:"lagMilliseconds"`
 	// KeepVanished leaves a pod of this node what it was allowed last when its object is deleted before its network.
 	KeepVanished bool `json:"keepVanished"`
-	// LabelLagSeconds applies a change of a pod's labels that much later; all else of the pod at once.
+	// LabelLagSeconds applies a change of the labels of a pod or of its namespace that much later. Until then, no change of a policy
+	// is applied to the pod. Labels of a pod whose keys begin with "annotation" are applied at once. Cilium does the same.
 	LabelLagSeconds float64 `json:"labelLagSeconds"`
 }
 
@@ -138,29 +142,53 @@ func (g *Engine) obey(text []byte) error {
 	return err
 }
 
-// relabel is a change of a pod's labels that waits.
-type relabel struct {
-	pod      *policy.Pod
-	cause    Cause
-	received time.Time
-}
-
-// setPod brings a pod into the index, with its labels of before if changes of labels lag.
-func (g *Engine) setPod(pod *policy.Pod, from change) bool {
+// setPod brings a pod into the index. If its labels change, it keeps those of before, and its policy as it is, until relabelDue.
+func (g *Engine) setPod(from change) bool {
+	pod := from.pod
 	known := g.index.Pod(pod.Key)
 	if known == nil || known.UID != pod.UID {
 		return g.index.SetPod(pod)
 	}
-	newest := known
-	for _, waiting := range g.relabels {
-		if waiting.pod.Key == pod.Key && waiting.pod.UID == pod.UID {
-			newest = waiting.pod
-		}
-	}
-	if !newest.SameLabels(pod) {
-		g.relabels = append(g.relabels, relabel{pod, from.cause, from.received})
+	waiting := g.newest(from.cause)
+	waits := waiting != nil && waiting.pod.UID == pod.UID
+	switch {
+	case waits && waiting.pod.SameIdentity(pod):
+		waiting.pod = pod
+	case !waits && (known.SameIdentity(pod) || !g.index.Freeze(pod.Key)):
+		return g.index.SetPod(pod)
+	default:
+		g.relabels = append(g.relabels, from)
 	}
 	return g.index.SetPod(pod.WithLabelsOf(known))
+}
+
+// setNamespace does the same for a namespace and all of its pods.
+func (g *Engine) setNamespace(from change) bool {
+	name := from.cause.Name
+	newest, known := g.index.Namespace(name)
+	if !known {
+		return g.index.SetNamespace(name, from.labels)
+	}
+	if waiting := g.newest(from.cause); waiting != nil {
+		newest = waiting.labels
+	}
+	if !labels.Equals(newest, from.labels) {
+		g.relabels = append(g.relabels, from)
+		for _, pod := range g.index.PodsIn(name) {
+			g.index.Freeze(pod.Key)
+		}
+	}
+	return false
+}
+
+// newest returns the last change of an object's labels that waits, or nil.
+func (g *Engine) newest(cause Cause) *change {
+	for i := range slices.Backward(g.relabels) {
+		if has := g.relabels[i].cause; has.Kind == cause.Kind && has.Namespace == cause.Namespace && has.Name == cause.Name {
+			return &g.relabels[i]
+		}
+	}
+	return nil
 }
 
 // relabelDue applies the changes of labels whose time has come, and returns when the next one is due; zero if none waits.
@@ -171,10 +199,38 @@ func (g *Engine) relabelDue(now time.Time) time.Time {
 			return due
 		}
 		g.relabels = g.relabels[1:]
-		known := g.index.Pod(next.pod.Key)
-		if known != nil && known.UID == next.pod.UID && g.index.SetPod(known.WithLabelsOf(next.pod)) {
-			g.pending = append(g.pending, change{cause: next.cause, received: next.received})
+		for _, pod := range g.relabel(next) {
+			if !g.waits(pod) {
+				g.index.Thaw(pod.Key)
+			}
 		}
+		g.pending = append(g.pending, next)
 	}
 	return time.Time{}
+}
+
+// relabel applies a change of labels, and returns the pods that it is about.
+func (g *Engine) relabel(c change) []*policy.Pod {
+	if c.pod == nil {
+		if _, known := g.index.Namespace(c.cause.Name); known {
+			g.index.SetNamespace(c.cause.Name, c.labels)
+		}
+		return g.index.PodsIn(c.cause.Name)
+	}
+	known := g.index.Pod(c.pod.Key)
+	if known == nil || known.UID != c.pod.UID {
+		return nil
+	}
+	g.index.SetPod(known.WithLabelsOf(c.pod))
+	return []*policy.Pod{known}
+}
+
+// waits reports whether a change of the labels of a pod or of its namespace waits.
+func (g *Engine) waits(pod *policy.Pod) bool {
+	return slices.ContainsFunc(g.relabels, func(c change) bool {
+		if c.pod == nil {
+			return c.cause.Name == pod.Namespace
+		}
+		return c.pod.Key == pod.Key && c.pod.UID == pod.UID
+	})
 }

@@ -5,6 +5,8 @@ import (
 	"sync"
 	"time"
 
+	"k8s.io/apimachinery/pkg/labels"
+
 	"understudy/testcluster/understudy-netpol/internal/policy"
 )
 
@@ -20,13 +22,14 @@ type Cause struct {
 // synced is the event after a kind's first list.
 const synced = "synced"
 
-// change is an event with its effect on the index. apply reports whether it has an effect. A pod that came or changed is
-// there itself instead.
+// change is an event with its effect on the index. apply reports whether it has an effect. A pod or the
+// labels of a namespace that came or changed are there themselves instead.
 type change struct {
 	cause    Cause
 	received time.Time
 	apply    func(*policy.Index) (bool, []error)
 	pod      *policy.Pod
+	labels   labels.Set
 }
 
 // queue passes changes on in order. take returns all waiting changes that were received by then, so a burst becomes one

@@ -47,11 +47,7 @@ func podSource(q *queue) *source {
 
 func namespaceSource(q *queue) *source {
 	return &source{kind: "Namespace", queue: q, known: map[policy.Key]struct{}{},
-		set: func(object any) change {
-			namespace := object.(*corev1.Namespace)
-			name, set := namespace.Name, labels.Set(namespace.Labels)
-			return change{apply: func(x *policy.Index) (bool, []error) { return x.SetNamespace(name, set), nil }}
-		},
+		set: func(object any) change { return change{labels: labels.Set(object.(*corev1.Namespace).Labels)} },
 		remove: func(key policy.Key) func(*policy.Index) bool {
 			return func(x *policy.Index) bool { return x.DeleteNamespace(key.Name) }
 		}}

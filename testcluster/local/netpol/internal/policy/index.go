@@ -31,8 +31,9 @@ type tracked struct {
 	*Pod
 	addrs    []netip.Addr
 	endpoint *Endpoint   // nil until computed; only for pods of this node
-	vanished bool        // its object is gone, and its endpoint stays as it is
-	kept     []*compiled // the policies of a vanished pod
+	vanished bool        // its object is gone
+	frozen   bool        // its endpoint stays as it is
+	kept     []*compiled // the policies of a frozen pod
 }
 
 // NewIndex returns an empty index for the node of that name.
@@ -47,10 +48,11 @@ func NewIndex(node string) *Index {
 
 // SetPod takes a new or changed pod; false when nothing that matters has changed.
 func (x *Index) SetPod(pod *Pod) bool {
-	if old := x.pods[pod.Key]; old != nil && old.same(pod) {
+	old := x.pods[pod.Key]
+	if old != nil && old.same(pod) {
 		return false
 	}
-	x.replacePod(pod.Key, &tracked{Pod: pod})
+	x.replacePod(pod.Key, x.next(old, pod))
 	return true
 }
 
@@ -93,7 +95,7 @@ func (x *Index) DeleteSandbox(id string) bool {
 		return false
 	}
 	delete(x.sandboxes, id)
-	x.release(vanishedKey(sandbox.Pod, sandbox.UID))
+	x.replacePod(vanishedKey(sandbox.Pod, sandbox.UID), nil)
 	delete(x.byPod[sandbox.Pod], id)
 	if len(x.byPod[sandbox.Pod]) == 0 {
 		delete(x.byPod, sandbox.Pod)
@@ -104,13 +106,14 @@ func (x *Index) DeleteSandbox(id string) bool {
 
 func (x *Index) again(key Key) {
 	if old := x.pods[key]; old != nil {
-		x.replacePod(key, &tracked{Pod: old.Pod})
+		x.replacePod(key, x.next(old, old.Pod))
 	}
 }
 
 func (x *Index) replacePod(key Key, pod *tracked) {
 	var affected []netip.Addr
-	if old := x.pods[key]; old != nil {
+	old := x.pods[key]
+	if old != nil {
 		affected = old.addrs
 		for _, addr := range old.addrs {
 			if delete(x.claims[addr], key); len(x.claims[addr]) == 0 {
@@ -132,6 +135,11 @@ func (x *Index) replacePod(key Key, pod *tracked) {
 	}
 	for _, addr := range affected {
 		x.refresh(addr)
+	}
+	if old != nil {
+		for _, policy := range old.kept {
+			x.leave(policy)
+		}
 	}
 }
 
@@ -296,7 +304,7 @@ func (x *Index) replacePolicy(key Key, policy *compiled) {
 	}
 	for addr, endpoint := range x.endpoints {
 		owner := x.owners[addr]
-		if owner.Namespace != key.Namespace || owner.vanished {
+		if owner.Namespace != key.Namespace || owner.frozen {
 			continue
 		}
 		if (old != nil && old.selects.Matches(owner.Labels)) || (policy != nil && policy.selects.Matches(owner.Labels)) {
@@ -313,7 +321,7 @@ func (x *Index) endpoint(pod *tracked) *Endpoint {
 		return pod.endpoint
 	}
 	endpoint := &Endpoint{Pod: pod.Key}
-	for _, policy := range x.policiesOf(pod.Pod) {
+	for _, policy := range x.policiesOf(pod) {
 		endpoint.Ingress.add(policy.ingress)
 		endpoint.Egress.add(policy.egress)
 	}
@@ -321,8 +329,11 @@ func (x *Index) endpoint(pod *tracked) *Endpoint {
 	return endpoint
 }
 
-// policiesOf returns the policies that select a pod.
-func (x *Index) policiesOf(pod *Pod) []*compiled {
+// policiesOf returns the policies that select a pod, or those that a frozen one keeps.
+func (x *Index) policiesOf(pod *tracked) []*compiled {
+	if pod.frozen {
+		return pod.kept
+	}
 	var policies []*compiled
 	for _, policy := range x.inSpace[pod.Namespace] {
 		if policy.selects.Matches(pod.Labels) {

@@ -122,6 +122,55 @@ func TestUnimportantChangesAreNone(t *testing.T) {
 	}
 }
 
+func TestAFrozenPodKeepsItsPolicyWhateverChanges(t *testing.T) {
+	x := policy.NewIndex("here")
+	x.SetPod(pod("a", "", nil))
+	key := policy.Key{Namespace: "x", Name: "a"}
+	if x.Freeze(key) {
+		t.Error("a pod without a network is frozen")
+	}
+	x.SetPod(pod("a", "10.0.0.1", nil))
+	x.SetPod(pod("b", "10.0.0.2", nil))
+	p := &networkingv1.NetworkPolicy{ObjectMeta: metav1.ObjectMeta{Namespace: "x", Name: "p"}}
+	p.Spec.PodSelector.MatchLabels = map[string]string{"name": "a"}
+	p.Spec.Ingress = []networkingv1.NetworkPolicyIngressRule{{From: []networkingv1.NetworkPolicyPeer{
+		{PodSelector: &metav1.LabelSelector{MatchLabels: map[string]string{"name": "b"}}}}}}
+	x.SetPolicy(p)
+	x.SetPod(pod("c", "10.0.0.3", nil))
+	expect := func(when string, b, c bool) {
+		t.Helper()
+		for from, want := range map[string]bool{"10.0.0.2": b, "10.0.0.3": c} {
+			f := policy.Flow{From: netip.MustParseAddr(from), To: netip.MustParseAddr("10.0.0.1"), Protocol: policy.TCP, Port: 80}
+			if got := x.Model().Arrives(f); got != want {
+				t.Errorf("%s: %s is allowed: %t, want %t", when, from, got, want)
+			}
+		}
+	}
+	expect("before", true, false)
+	if !x.Freeze(key) {
+		t.Error("a pod with a network is not frozen")
+	}
+	x.DeletePolicy(policy.Key{Namespace: "x", Name: "p"})
+	expect("without its policy", true, false)
+	x.SetPod(pod("a", "10.0.0.1", func(p *corev1.Pod) { p.Labels["name"] = "z" }))
+	expect("with other labels", true, false)
+	x.Thaw(key)
+	expect("thawed", true, true)
+	if left := x.Model().Peers; len(left) > 0 {
+		t.Errorf("nobody uses these sets: %v", left)
+	}
+	x.SetPolicy(p)
+	x.SetPod(pod("a", "10.0.0.1", nil))
+	x.Freeze(key)
+	x.DeletePolicy(policy.Key{Namespace: "x", Name: "p"})
+	x.DeletePod(key)
+	if left := x.Model().Peers; len(left) > 0 {
+		t.Errorf("nobody uses these sets after the frozen pod is gone: %v", left)
+	}
+	x.SetPod(pod("a", "10.0.0.1", nil))
+	expect("another pod of that name", true, true)
+}
+
 func TestPortsOfSidecarsCountAndThoseOfOtherInitContainersDoNot(t *testing.T) {
 	always := corev1.ContainerRestartPolicyAlways
 	p := pod("a", "10.0.0.1", func(p *corev1.Pod) {

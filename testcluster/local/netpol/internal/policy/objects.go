@@ -11,6 +11,7 @@
 package policy
 
 import (
+	"maps"
 	"net/netip"
 	"slices"
 	"strings"
@@ -146,14 +147,19 @@ func (p *Pod) same(other *Pod) bool {
 		slices.Equal(p.Reported, other.Reported) && slices.Equal(p.Ports, other.Ports)
 }
 
-// SameLabels reports whether both have the same labels.
-func (p *Pod) SameLabels(other *Pod) bool { return labels.Equals(p.Labels, other.Labels) }
+// SameIdentity reports whether both have the same labels, without those that Cilium ignores by default.
+func (p *Pod) SameIdentity(other *Pod) bool {
+	return labels.Equals(identity(p.Labels), identity(other.Labels))
+}
+
+func identity(set labels.Set) labels.Set {
+	counted := maps.Clone(set)
+	maps.DeleteFunc(counted, func(key, _ string) bool { return strings.HasPrefix(key, "annotation") })
+	return counted
+}
 
 // WithLabelsOf returns the pod with the labels of another one.
 func (p *Pod) WithLabelsOf(other *Pod) *Pod {
-	if p.SameLabels(other) {
-		return p
-	}
 	relabelled := *p
 	relabelled.Labels = other.Labels
 	return &relabelled

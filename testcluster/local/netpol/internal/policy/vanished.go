@@ -10,7 +10,7 @@ func (x *Index) KeepVanished(keep bool) {
 	}
 	for key, pod := range x.pods {
 		if pod.vanished {
-			x.release(key)
+			x.replacePod(key, nil)
 		}
 	}
 }
@@ -29,22 +29,8 @@ func (x *Index) keep(pod *tracked) {
 	if pod.Node != x.node || len(kept.Reported) == 0 || pod.HostNetwork || pod.Ended {
 		return
 	}
-	endpoint, policies := x.endpoint(pod), x.policiesOf(pod.Pod)
-	for _, policy := range policies {
-		x.use(policy)
-	}
 	kept.Key = vanishedKey(pod.Key, pod.UID)
-	x.replacePod(kept.Key, &tracked{Pod: &kept, endpoint: endpoint, vanished: true, kept: policies})
-}
-
-// release forgets a vanished pod, if there is one of that key.
-func (x *Index) release(key Key) {
-	pod := x.pods[key]
-	if pod == nil {
-		return
-	}
-	x.replacePod(key, nil)
-	for _, policy := range pod.kept {
-		x.leave(policy)
-	}
+	frozen := x.frozen(&kept, pod)
+	frozen.vanished = true
+	x.replacePod(kept.Key, frozen)
 }
