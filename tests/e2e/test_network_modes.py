@@ -4,10 +4,13 @@ MODES is the table of what is expected. Each mode is that of the node of the ins
 works as it should. Each row has four events: a fence by hand, with an instance that goes on sending; a planned switchover, which deletes
 the former instance; a planned switchover while the former instance's kubelet is gone, so that its pod lives on; and, again without
 its kubelet, the deletion of its pod's object by force.
+
+The tests of labels run on Cilium too, which applies changes of labels late by itself.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from dataclasses import dataclass
@@ -15,10 +18,17 @@ from dataclasses import dataclass
 import pytest
 
 from tests.e2e.console import understudy
-from tests.e2e.faults import Network, Stage
+from tests.e2e.faults import Network, Stage, has_network_modes
+from tests.e2e.kubectl import Failed, Kubectl
 from tests.e2e.scenario import Late, Robot, eventually, never
 from tests.e2e.test_fence import ENFORCED_WITHIN
-from tests.e2e.test_strategies import assert_handed_over
+from tests.e2e.test_strategies import ENFORCEMENT, assert_handed_over
+
+LABEL_LAG = 10.0
+"""Lag of changes of labels, in seconds, on the provider's own network: longer than a standby has to take over."""
+
+CILIUM_LABEL_LAG = (6.0, 35.0)
+"""Shortest and longest lag of changes of labels on Cilium with its default settings, in seconds."""
 
 pytestmark = [
     pytest.mark.local_only,
@@ -210,17 +220,61 @@ def test_an_active_instance_that_vanishes_from_the_api_is_shut_as_far_as_the_net
     assert_it_ends(apart, stage, network, old)
 
 
-@pytest.mark.own_robot
-def test_a_held_pod_drives_late_where_changes_of_labels_lag_and_never_beside_another(
-    uninitialized: Robot, network: Network
-) -> None:
-    """A claim changes the labels of the pod that takes over: until they are in force, the network keeps it shut."""
+@pytest.fixture
+def label_lag(request: pytest.FixtureRequest, kubectl: Kubectl) -> float:
+    """Have a network that applies changes of labels late. Returns the longest time, in seconds."""
+    if has_network_modes():
+        network: Network = request.getfixturevalue("network")
+        for node in kubectl.list("nodes"):
+            network.weaken(node["metadata"]["name"], "--label-lag", f"{LABEL_LAG:g}")
+        return LABEL_LAG
+    try:
+        kubectl.list("ciliumidentities")
+    except Failed:
+        pytest.skip("the network applies changes of labels at once")
+    return CILIUM_LABEL_LAG[1]
+
+
+@pytest.mark.alone
+def test_a_claim_changes_no_label_that_a_network_applies_late(uninitialized: Robot, label_lag: float) -> None:
     old = uninitialized.wait_protected()
-    for node in uninitialized.kubectl.list("nodes"):
-        network.weaken(node["metadata"]["name"], "--label-lag", "3")
     uninitialized.fail(old, "frozen")
     recovery = uninitialized.wait_recovered(1)
     assert_handed_over(uninitialized, recovery)
+    assert recovery.strategy == "Fallback/Uninitialized", recovery
     first = uninitialized.log().of(recovery.new)[0].received
     print(f"the first command came {first - recovery.moments['decided']:.3f} s after the decision")
-    assert recovery.strategy == "Fallback/Uninitialized", recovery
+    if first > recovery.moments["decided"] + CILIUM_LABEL_LAG[0]:
+        raise Late(f"the first command came {first - recovery.moments['decided']:.3f} s after the decision")
+
+
+@pytest.mark.alone
+def test_the_robot_is_driven_again_though_the_standby_s_labels_have_just_changed(
+    executing: Robot, label_lag: float
+) -> None:
+    """The network applies no policy to the standby, so the switch to it is lost, and the next strategy follows."""
+    robot = executing
+    old = robot.wait_protected()
+    robot.wait_standby()
+    standby = next(name for pod in robot.pods() if (name := pod["metadata"]["name"]) != old)
+    robot.kubectl("label", "pod", standby, "example.com/note=unrelated")
+    labelled = time.time()
+    robot.fail(old, "frozen")
+    recovery = robot.wait_recovered(1, within=label_lag + 60.0)
+    assert recovery.old == old, recovery
+    assert_handed_over(robot, recovery)
+    time.sleep(max(0.0, labelled + label_lag + 2.0 - time.time()))  # the policies that it missed are applied at once
+    reigns = robot.log().reigns()
+    print(f"failed {recovery.moments['detected'] - labelled:.3f} s after the change of labels; {recovery.attempts}")
+    print([(one.source, one.first - labelled, one.last - labelled) for one in reigns])
+    together = [(a, b) for a, b in itertools.pairwise(reigns) if a.last > b.first + ENFORCEMENT]
+    never(together, "two instances drive")
+    if recovery.new == standby:  # the network had already read its labels
+        assert recovery.strategy == "Fallback/Executing", recovery
+    else:
+        assert recovery.strategy == "Restart", recovery
+        tried = [(one["strategy"], one["result"]) for one in recovery.attempts if one.get("pod") == standby]
+        assert tried == [("Fallback/Executing", "NotVerified")], recovery
+        told = [one for one in robot.kubectl.list("events") if one["reason"] == "StrategyNotVerified"]
+        assert any(standby in one["message"] for one in told), told
+    robot.wait_protected()
