@@ -82,6 +82,10 @@ class Layout:
         """Return the address of a node."""
         return self._fabric(10 + node)
 
+    def machine_ip(self, machine: int) -> str:
+        """Return the address of a machine outside of the cluster, on the network of the nodes."""
+        return self._fabric(100 + machine)
+
     def pod_network(self, node: int) -> ipaddress.IPv4Network:
         """Return the addresses of a node's pods."""
         return self._subnet(32 + node)

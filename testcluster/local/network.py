@@ -9,7 +9,7 @@ power also loses its packet filter and connection tracking. `ip netns add` is ne
 import ipaddress
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from testcluster.local import cgroups, processes
@@ -66,6 +66,10 @@ def _node_link(node: int) -> str:
     return f"node{node}"
 
 
+def _machine_link(machine: int) -> str:
+    return f"machine{machine}"
+
+
 def up(layout: Layout) -> int:
     """Make the bridge and its link as far as they are missing, and return the process that holds the namespace."""
     group = control_plane_group(layout)
@@ -111,40 +115,55 @@ def up(layout: Layout) -> int:
     return pid
 
 
+def _attach(layout: Layout, pid: int, link: str, address: str, nodes: Iterable[int]) -> None:
+    """Give the namespace of a process a link to the bridge, an address, and routes to the pods of these nodes."""
+    control_plane = holder(layout)
+    if control_plane is None:
+        raise RuntimeError(f"cluster {layout.name}: its network is not up; run `scripts/cluster up` first")
+    wait_until(lambda: _own_namespace(pid), 10, f"network namespace of {link}")
+    _detach(layout, link)
+    _batch([f"link add {link} type veth peer name eth0 netns {pid}"], control_plane)
+    _batch(
+        [
+            "link set lo up",
+            f"addr add {address}/24 dev eth0",
+            "link set eth0 up",
+            f"route add default via {layout.control_plane_ip}",
+            *(f"route add {layout.pod_network(node)} via {layout.node_ip(node)}" for node in nodes),
+        ],
+        pid,
+    )
+    _batch([f"link set {link} master {BRIDGE} up"], control_plane)
+
+
+def _detach(layout: Layout, link: str) -> None:
+    control_plane = holder(layout)
+    if control_plane is not None and link in _links(control_plane):
+        _batch([f"link del {link}"], control_plane)
+
+
 def attach_node(layout: Layout, node: int, pid: int) -> None:
     """Give the node with this first process its link, address and routes.
 
     The node's script waits for the link.
     """
-    control_plane = holder(layout)
-    if control_plane is None:
-        raise RuntimeError(f"cluster {layout.name}: its network is not up; run `scripts/cluster up` first")
-    wait_until(lambda: _own_namespace(pid), 10, f"network namespace of node{node}")
-    detach_node(layout, node)
-    _batch([f"link add {_node_link(node)} type veth peer name eth0 netns {pid}"], control_plane)
-    _batch(
-        [
-            "link set lo up",
-            f"addr add {layout.node_ip(node)}/24 dev eth0",
-            "link set eth0 up",
-            f"route add default via {layout.control_plane_ip}",
-            *(
-                f"route add {layout.pod_network(other)} via {layout.node_ip(other)}"
-                for other in layout.nodes
-                if other != node
-            ),
-        ],
-        pid,
-    )
+    _attach(layout, pid, _node_link(node), layout.node_ip(node), (other for other in layout.nodes if other != node))
     run(*inside(pid), "sh", "-c", "echo 1 >/proc/sys/net/ipv4/ip_forward")
-    _batch([f"link set {_node_link(node)} master {BRIDGE} up"], control_plane)
 
 
 def detach_node(layout: Layout, node: int) -> None:
     """Remove a node's link, if there is one."""
-    control_plane = holder(layout)
-    if control_plane is not None and _node_link(node) in _links(control_plane):
-        _batch([f"link del {_node_link(node)}"], control_plane)
+    _detach(layout, _node_link(node))
+
+
+def attach_machine(layout: Layout, machine: int, pid: int) -> None:
+    """Give the machine outside of the cluster with this process its link, its address, and routes to all pods."""
+    _attach(layout, pid, _machine_link(machine), layout.machine_ip(machine), layout.nodes)
+
+
+def detach_machine(layout: Layout, machine: int) -> None:
+    """Remove a machine's link, if there is one."""
+    _detach(layout, _machine_link(machine))
 
 
 def set_node_link(layout: Layout, node: int, connected: bool) -> None:

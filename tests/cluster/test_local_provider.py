@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import os
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -19,6 +20,8 @@ from kubernetes.stream import stream
 
 from testcluster.local import cgroups, layout, network, node, processes, programs
 from testcluster.local.layout import Layout
+from testcluster.local.machines import Machine
+from testcluster.shell import run
 
 pytestmark = [
     pytest.mark.local_only,
@@ -216,6 +219,26 @@ def test_udp_crosses_between_pods_on_different_nodes(own: OwnCluster, namespace:
     own.pod(namespace, "asking", ["sleep", "infinity"], on="node2")
     answered = own.execute(namespace, "asking", "python3", "-c", ASK, own.address(namespace, "echo"))
     assert int(answered) == 20
+
+
+def test_a_machine_outside_exchanges_packets_with_pods_and_leaves_nothing(
+    own: OwnCluster, namespace: str, tmp_path: Path
+) -> None:
+    machine = Machine(own.layout, 1)
+    own.pod(namespace, "echo", ["python3", "-c", ECHO])
+    machine.up()
+    try:
+        asked = machine.run(sys.executable, "-c", ASK, own.address(namespace, "echo"))
+        assert int(asked) == 20
+        machine.start([sys.executable, "-c", ECHO], tmp_path / "echo.log")
+        time.sleep(0.5)
+        assert int(own.execute(namespace, "echo", "python3", "-c", ASK, machine.address)) == 20
+    finally:
+        machine.down()
+    assert int(own.execute(namespace, "echo", "python3", "-c", ASK, machine.address)) == 0
+    links = run(*network.inside(network.holder(own.layout) or 0), "ip", "link")
+    assert "machine1" not in links
+    assert not cgroups.pids(f"{own.layout.cgroup}/machine1")
 
 
 def test_a_policy_stops_and_readmits_an_established_flow_between_nodes(own: OwnCluster, namespace: str) -> None:

@@ -63,6 +63,7 @@ def test_all_addresses_of_a_cluster_are_in_its_network_and_distinct(monkeypatch:
     decided = made("one")
     parts = [decided.services, *(decided.pod_network(node) for node in decided.nodes)]
     hosts = [decided.control_plane_ip, decided.host_ip, *(decided.node_ip(node) for node in decided.nodes)]
+    hosts += [decided.machine_ip(machine) for machine in (1, 2)]
     parts += [ipaddress.IPv4Network(host) for host in hosts]
     assert all(part.subnet_of(decided.network) for part in parts)
     assert not any(a.overlaps(b) for number, a in enumerate(parts) for b in parts[:number])
