@@ -28,15 +28,20 @@ def cluster(*arguments: str) -> str:
     return done.stdout
 
 
+def local_layout() -> layouts.Layout | None:
+    """The layout of the cluster under test. None if it is not the local provider's."""
+    return layouts.load(os.environ.get("UNDERSTUDY_CLUSTER_NAME") or layouts.DEFAULT_NAME)
+
+
 def has_network_modes() -> bool:
     """Whether the cluster under test has the provider's own enforcer of network policies, which can be weakened."""
-    layout = layouts.load(os.environ.get("UNDERSTUDY_CLUSTER_NAME") or layouts.DEFAULT_NAME)
+    layout = local_layout()
     return layout is not None and layout.enforcer == layouts.OWN
 
 
 def api_server_process() -> int:
     """The process of the API server of the cluster under test. Raises Failed."""
-    layout = layouts.load(os.environ.get("UNDERSTUDY_CLUSTER_NAME") or layouts.DEFAULT_NAME)
+    layout = local_layout()
     pid = processes.find(network.control_plane_group(layout), "kube-apiserver") if layout else None
     if pid is None:
         raise Failed("the API server does not run")
@@ -45,7 +50,7 @@ def api_server_process() -> int:
 
 def node_processes() -> Iterator[int]:
     """The first process of each node that is on; it has the node's mounts and network."""
-    layout = layouts.load(os.environ.get("UNDERSTUDY_CLUSTER_NAME") or layouts.DEFAULT_NAME)
+    layout = local_layout()
     for number in layout.nodes if layout else ():
         if layout and (pid := nodes.init(layout, number)):
             yield pid
