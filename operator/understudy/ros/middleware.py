@@ -9,7 +9,7 @@ This module imports only names, because the operator and every agent have it.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -59,6 +59,10 @@ class Middleware(ABC):
     @abstractmethod
     def discovery_server(self, environment: Mapping[str, str]) -> str:
         """Return the discovery server, as ``HOST:PORT``, of a process with this environment; empty if it uses none."""
+
+    @abstractmethod
+    def own_ports(self, environment: Mapping[str, str]) -> Sequence[tuple[int, int]]:
+        """Return the ranges of UDP ports at which processes with this environment listen, besides their gated ports."""
 
     @abstractmethod
     def discovery_command(self, address: str, port: int) -> list[str]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from understudy.api import names
-from understudy.cli.control.profile_files import ENV_FILE, RobotFiles, env_text, to_reach
+from understudy.cli.control.profile_files import ENV_FILE, RobotFiles, env_text, own_ports, to_reach
 
 MUX_FILE = "mux.env"
 TOKEN_FILE = "token"
@@ -39,7 +39,7 @@ class MuxFiles(RobotFiles):
         yield f"  sudo install -D -m 600 {TOKEN_FILE} {folder}/{TOKEN_FILE}"
         yield f"  sudo systemctl enable --now {UNIT}{self.name}        # the unit: docs/mux.md#a-robot-outside-of-the-cluster"
         yield ""
-        yield "Its firewall must accept UDP at the ports of DDS, from 7400 on."
+        yield f"Its firewall must accept UDP at the ports of DDS: {own_ports(self.environment)}."
         yield ""
         for number, todo in enumerate(self._todo(), 1):
             yield f"{number}. {todo}"

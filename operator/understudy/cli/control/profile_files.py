@@ -21,6 +21,11 @@ def env_text(variables: Mapping[str, str]) -> str:
     return "".join(f"{key}={value}\n" for key, value in variables.items())
 
 
+def own_ports(environment: Mapping[str, str]) -> str:
+    """Return the ranges of ports at which the middleware listens, as text."""
+    return " and ".join(f"{first} to {last}" for first, last in MIDDLEWARE.own_ports(environment))
+
+
 def to_reach(spec: RobotWorkloadSpec, environment: Mapping[str, str]) -> Iterator[str]:
     """Yield what must reach what, as sentences, whatever the kind of the gate is."""
     server = MIDDLEWARE.discovery_server(environment)
@@ -112,7 +117,10 @@ class Profile(RobotFiles):
         )
         first, last = names.GATE_RANGE
         ports = ", ".join(f"{name} at {port}" for name, port in self.ports.items())
-        yield f"Its firewall must accept UDP at: {ports} (all gated ports: {first} to {last}), and at the ports of DDS from 7400 on."
+        yield (
+            f"Its firewall must accept UDP at: {ports} (all gated ports: {first} to {last}), and at the ports of DDS: "
+            f"{own_ports(self.environment)}."
+        )
         yield ""
         for number, todo in enumerate(self._todo(), 1):
             yield f"{number}. {todo}"

@@ -35,7 +35,7 @@ LEASE = 10.0
 RESPONSE = 0.005
 """Seconds from a heartbeat to the answer: most of the samples that it announces are already on their way."""
 
-_PORTS, _OURS = 250, 50
+PORTS, _OURS = 250, 50
 """Number of DDS ports of a ROS domain, and how many of them are tried: the last ones, which other participants take last. A firewall that
 accepts the ports of a domain accepts these.
 """
@@ -61,7 +61,7 @@ class Discovery:
         if server:
             host, _, port = server.rpartition(":")
             return cls(host, int(port), _SERVER, domain)
-        return cls("239.255.0.1", _first_port(domain), domain=domain)
+        return cls("239.255.0.1", first_port(domain), domain=domain)
 
 
 async def locators(
@@ -144,13 +144,14 @@ async def _asked(
         return answer(visit.announced)
 
 
-def _first_port(domain: int) -> int:
-    return 7400 + _PORTS * domain
+def first_port(domain: int) -> int:
+    """Return the first of the DDS ports of a ROS domain."""
+    return 7400 + PORTS * domain
 
 
 def _bind(listener: socket.socket, domain: int) -> None:
     """Bind a free port of the domain. Raises OSError if there is none."""
-    end = _first_port(domain) + _PORTS
+    end = first_port(domain) + PORTS
     for port in range(end - 1, end - _OURS, -1):
         with contextlib.suppress(OSError):
             return listener.bind(("", port))

@@ -5,7 +5,7 @@ Modules are imported when they are first used: an agent has neither models of th
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from understudy.api.kinds.task_spec import Task
 
 SERVER_VARIABLE = "ROS_DISCOVERY_SERVER"
+
+_UNIQUE_FLOWS = (7000, 7399)
+"""The ports that Fast DDS gives to readers with the property fastdds.unique_network_flows, in any domain."""
 
 
 class FastDds(Middleware):
@@ -66,6 +69,13 @@ class FastDds(Middleware):
     def discovery_server(self, environment: Mapping[str, str]) -> str:
         """Return the discovery server; a robot has only one."""
         return environment.get(SERVER_VARIABLE, "")
+
+    def own_ports(self, environment: Mapping[str, str]) -> Sequence[tuple[int, int]]:
+        """Return the ports of the domain, and those of readers with a network flow of their own: that of ROS's graph is one."""
+        from understudy.ros.dds import endpoint_announcements
+
+        first = endpoint_announcements.first_port(int(environment.get("ROS_DOMAIN_ID") or 0))
+        return (_UNIQUE_FLOWS, (first, min(first + endpoint_announcements.PORTS - 1, 65535)))
 
     def discovery_command(self, address: str, port: int) -> list[str]:
         """Return the command of a server that announces this address as its own, since its pod's address changes."""
