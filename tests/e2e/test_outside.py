@@ -47,7 +47,7 @@ table inet robot {{
     type filter hook input priority 0; policy drop;
     iifname "lo" accept
     udp dport {GATED[0]}-{GATED[1]} update @drivers {{ ip saddr }} accept
-    udp dport {DOMAIN_PORTS}-{DOMAIN_PORTS + 249} accept
+    udp dport {{ 7000-7399, {DOMAIN_PORTS}-{DOMAIN_PORTS + 249} }} accept
     meta l4proto udp update @refused {{ udp dport }}
   }}
 }}
