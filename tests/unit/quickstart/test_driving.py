@@ -71,7 +71,7 @@ def test_an_application_sends_as_often_as_it_is_asked(run: Run) -> None:
     run.wait("the robot is driven", lambda: len(run.log().commands) > 150, within=30)
     commands = run.log().commands[50:]
     rate = (len(commands) - 1) / (commands[-1].received - commands[0].received)
-    assert 80 < rate < 120
+    assert 40 < rate < 120, "20 if it is not asked; a busy machine delays some"
 
 
 @pytest.mark.timeout(60)
