@@ -18,7 +18,7 @@ ENFORCEMENT = 0.1
 HERTZ = 100
 """Commands per second where it matters for how long two instances command the robot."""
 
-BUSY = 0.1
+BUSY = 0.3
 """Seconds that a command may be late on a machine that is busy with other things."""
 
 FAILURES = ["killed", "frozen", "deleted"]
