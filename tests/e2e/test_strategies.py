@@ -18,7 +18,7 @@ ENFORCEMENT = 0.1
 HERTZ = 100
 """Commands per second where it matters for how long two instances command the robot."""
 
-BUSY = 0.3
+BUSY = 0.1
 """Seconds that a command may be late on a machine that is busy with other things."""
 
 FAILURES = ["killed", "frozen", "deleted"]
@@ -84,7 +84,7 @@ def test_break_before_make_opens_the_gate_on_one_node_after_it_was_seen_closed_o
     never(handover.late, "commands of the failed instance after the first one of the standby")
     # The last packet may be up to 30 ms older than the network's change, because it waits to be sent and to be read.
     assert handover.gap > CLOSED_FOR / 2, "the gate was closed for both"
-    assert handover.gap < CLOSED_FOR + 2 * ENFORCEMENT + 1 / HERTZ + BUSY
+    assert handover.gap < CLOSED_FOR + 2 * ENFORCEMENT + 1 / HERTZ + 3 * BUSY, "both writes and the command may be late"
 
 
 @pytest.mark.parametrize("how", often("frozen"))

@@ -2,28 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import pytest
 from understudy_demo.recovery import Recovered
-from understudy_demo.robotview import Command, RobotLog
+from understudy_demo.robotview import RobotLog
 
 from bench.driven import Row, add_driven, driven, robots_table
 from bench.results import Report
+from tests.unit.bench import robot_logs
 
 PERIOD = 0.05
 
 
 def log(*parts: tuple[str, float, float]) -> RobotLog:
-    """A log with the commands of instances, each from a moment to another."""
-
-    def commands() -> Iterator[Command]:
-        for source, begin, end in parts:
-            for number in range(round((end - begin) / PERIOD) + 1):
-                at = begin + PERIOD * number
-                yield Command(at, source, 0, at, *[0.0] * 6)
-
-    return RobotLog(list(commands()))
+    return robot_logs.log(*parts, period=PERIOD)
 
 
 def test_an_instance_that_drives_all_the_time_is_neither_left_nor_replaced() -> None:

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from understudy_demo.recovery import Recovered
-from understudy_demo.robotview import Command, RobotLog
+from understudy_demo.robotview import RobotLog
 
 from bench.handover import Passage, bars, passage
 from tests.e2e import handovers
 from tests.e2e.kubectl import Kubectl, Object
 from tests.e2e.scenario import Robot
 from tests.support.manifests import MODELS
+from tests.unit.bench import robot_logs
 from understudy.api import names
 
 PERIOD = 0.005
@@ -21,15 +21,7 @@ DECIDED = 10.0
 
 
 def log(*parts: tuple[str, float, float]) -> RobotLog:
-    """Return a log with the commands of instances, each from a moment to another."""
-
-    def commands() -> Iterator[Command]:
-        for source, begin, end in parts:
-            for number in range(round((end - begin) / PERIOD) + 1):
-                at = begin + PERIOD * number
-                yield Command(at, source, 0, at, *[0.0] * 6)
-
-    return RobotLog(sorted(commands(), key=lambda command: command.received))
+    return robot_logs.log(*parts, period=PERIOD)
 
 
 def seen(*parts: tuple[str, float, float]) -> Passage | None:

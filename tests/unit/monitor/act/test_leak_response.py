@@ -77,6 +77,17 @@ class Driven:
         for _ in range(20):  # what runs in the background
             await asyncio.sleep(0)
 
+    async def restarting(self) -> asyncio.Task[None]:
+        """Begin a recovery that waits until another pod runs, which does not happen. Returns the monitor's task."""
+        self.objects.put_policy(policy_of({"type": "Restart"}))
+        self.objects.client.store(REPLICA_SETS, "fleet", {"metadata": {"name": "w"}, "spec": {"replicas": 1}})
+        self.observer.health = Verdict("Failed", "no /cmd_vel for 500 ms", "", time.time())
+        running = asyncio.create_task(self.monitor.loop.run())
+        async with asyncio.timeout(5):
+            while not self.objects.gate.state.closed:
+                await asyncio.sleep(0.01)
+        return running
+
     def conclude(self, *, verified: float) -> None:
         """A recovery ends, in which w-2 took over from w-1."""
         failed = [PodIdentity(name="w-1", uid="uid-1")]
@@ -315,13 +326,8 @@ async def test_a_leak_of_the_failed_instance_is_ended_while_its_recovery_waits_f
 async def test_an_open_gate_is_reported_during_a_recovery(tmp_path: Path) -> None:
     driven = Driven(tmp_path, FORMER)
     objects = driven.objects
-    objects.put_policy(policy_of({"type": "Restart"}))
-    objects.client.store(REPLICA_SETS, "fleet", {"metadata": {"name": "w"}, "spec": {"replicas": 1}})
-    driven.observer.health = Verdict("Failed", "no /cmd_vel for 500 ms", "", time.time())
-    running = asyncio.create_task(driven.monitor.loop.run())
+    running = await driven.restarting()
     async with asyncio.timeout(5):
-        while not objects.gate.state.closed:  # until another pod runs, which does not happen
-            await asyncio.sleep(0.01)
         while driven.notices.conditions.get("GateEnforced", ())[:2] != ("False", "NotEnforced"):
             objects.packets["uid-1"] = time.time()
             await asyncio.sleep(0.05)
@@ -341,13 +347,8 @@ async def test_an_edited_gate_is_restored_during_a_recovery(tmp_path: Path, monk
 
     monkeypatch.setattr(driven.monitor.loop.act.labels, "follow", failing_once)
     objects, kind = driven.objects, driven.objects.view.gate_kind
-    objects.put_policy(policy_of({"type": "Restart"}))
-    objects.client.store(REPLICA_SETS, "fleet", {"metadata": {"name": "w"}, "spec": {"replicas": 1}})
-    driven.observer.health = Verdict("Failed", "no /cmd_vel for 500 ms", "", time.time())
-    running = asyncio.create_task(driven.monitor.loop.run())
+    running = await driven.restarting()
     async with asyncio.timeout(5):
-        while not objects.gate.state.closed:  # until another pod runs, which does not happen
-            await asyncio.sleep(0.01)
         edited = {**objects.view.gates.items["w-gate"], **kind.routing("w", "w-1")}
         objects.view.gates.put(objects.client.store(kind.resource, "fleet", edited))
         while kind.let_through(objects.view.gates.items["w-gate"]) != ():
