@@ -146,6 +146,11 @@ class Gate(Protocol):
     def unanswered_since(self) -> float | None:
         """Since when (by the event loop's clock) the API server has not answered; None while it answers."""
 
+    @property
+    def last_outage(self) -> tuple[float, float] | None:
+        """When (by the event loop's clock) the last outage of the API server began and ended, if the gate depends on others who watch the
+        API server."""
+
     def last_packet(self, uid: str) -> float | None:
         """Return when a packet of a pod last passed the gate, in unix seconds."""
 

@@ -255,7 +255,7 @@ async def _in_its_time(
     while True:
         await choice.strategy.wait(progress, context, within=choice.verify_within)
         try:
-            async with answered_time(choice.verify_within, context, outage):
+            async with answered_time(choice.verify_within, progress, context, outage):
                 work = _unless_overtaken(_carry_out(progress, choice, context), progress, choice, context, before)
                 target = await unless_lost(work, progress, context, crashing_counts=not last)
             await unless_lost(alone(target, progress, context), progress, context, crashing_counts=not last)

@@ -38,6 +38,8 @@ class ApiContact:
         """When a request was first answered at all, or after the last outage."""
         self.returns = 0
         """How often that was."""
+        self.last_outage: tuple[float, float] | None = None
+        """When the last outage began and ended."""
         self._back = asyncio.Event()
 
     @contextlib.contextmanager
@@ -61,7 +63,9 @@ class ApiContact:
         else:
             # A process that starts does not know whether the API server has only just started too.
             is_back = self._failing_since is not None or self._answered_at == -math.inf
-            self._failing_since, self._answered_at = None, loop.time()
+            began, self._failing_since, self._answered_at = self._failing_since, None, loop.time()
+            if began is not None:
+                self.last_outage = began, self._answered_at
             if is_back:
                 self._back_at = self._answered_at
                 self.returns += 1

@@ -92,6 +92,8 @@ class Store:
     """Whether the API server does not answer."""
     unasked: bool = False
     """Whether nothing was asked of it since, so that nobody knows."""
+    last_outage: tuple[float, float] | None = None
+    """When its last outage began and ended, as a monitor remembers it."""
     kept: KeptState = field(default_factory=KeptState)
     """What was kept of the instance that failed."""
     kept_states: dict[str, KeptState] = field(default_factory=dict)
@@ -235,6 +237,10 @@ class _Gate(_Part):
     @property
     def unanswered_since(self) -> float | None:
         return self.world.start_time if self.store.away and not self.store.unasked else None
+
+    @property
+    def last_outage(self) -> tuple[float, float] | None:
+        return self.store.last_outage
 
     def last_packet(self, uid: str) -> float | None:
         leak = self.store.probes_through.get(uid)

@@ -29,9 +29,14 @@ async def test_an_outage_begins_with_the_first_request_that_fails_and_ends_with_
     await asyncio.sleep(0.01)
     await fails(contact)
     assert contact.unanswered_since == pytest.approx(began, abs=0.005)
+    assert contact.last_outage is None
     with contact.asking():
         pass
     assert contact.unanswered_since is None
+    assert contact.last_outage == (
+        pytest.approx(began, abs=0.005),
+        pytest.approx(asyncio.get_running_loop().time(), abs=0.005),
+    )
 
 
 async def test_a_request_that_was_lost_says_nothing_any_more_after_a_while(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import AsyncIterator, Collection, Iterable
+import math
+from collections.abc import AsyncIterator, Collection, Iterable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 
@@ -42,6 +43,12 @@ CLOCK_RESOLUTION = 0.001
 
 OUTAGE_REPORTED = 0.5
 """Minimum seconds without an answer of the API server that the record of an attempt names."""
+
+LATE_BY, LATE_FACTOR, LATE_AT_MOST = 10.0, 30.0, 120.0
+"""For how many seconds after an outage of the API server the network may not know the present gate yet: the first, and so many times the
+outage, but at most the last. A network engine asks again after pauses that double, up to 30 s, and up to twice as long by chance
+(client-go). An API server that has just started refuses it at first, because it has not loaded the roles, which makes the pauses longer.
+Cilium was 8 to 95 s late after outages of 4 to 10 s."""
 
 
 def committed_target(progress: Progress, context: StrategyContext) -> Instance | None:
@@ -120,20 +127,28 @@ async def close_and_see(target: Instance, progress: Progress, context: StrategyC
         last, pod = last_sign(target, progress, context)
         if (left := max(closed, last) + CLOSED_FOR - context.clock()) <= 0:
             break
-        if loop_time() >= end:
+        if loop_time() >= end and not network_is_late(progress, context):
             raise NotVerified(f"{pod} still reaches the robot, although the gate is closed (handover: BreakBeforeMake)")
         await asyncio.sleep(min(left, CLOSED_FOR / 4))
 
 
 def last_sign(target: Instance, progress: Progress, context: StrategyContext) -> tuple[float, str]:
     """Return when another instance last reached the robot, by samples and by packets through the gate, and which; 0 if none did."""
-    found = [context.outputs.last_from_others(target)]
-    pods = {pod.uid: pod.name for pod in context.gate.state.pinned} | {pod.uid: pod.name for pod in progress.replaced}
-    pods |= {i.uid: i.name for i in context.instances.of_workload()}
-    pods.pop(target.uid, None)
-    found += [(packet, name) for uid, name in pods.items() if (packet := context.gate.last_packet(uid)) is not None]
-    last, pod = max(found)
+    others = {uid: name for uid, name in _known(progress, context).items() if uid != target.uid}
+    last, pod = max([context.outputs.last_from_others(target), *_last_packets(others, context)])
     return min(last, context.clock()), pod
+
+
+def _known(progress: Progress, context: StrategyContext) -> dict[str, str]:
+    """Return the names of all pods that may send, by their UIDs."""
+    pods = {pod.uid: pod.name for pod in context.gate.state.pinned} | {pod.uid: pod.name for pod in progress.replaced}
+    return pods | {i.uid: i.name for i in context.instances.of_workload()}
+
+
+def _last_packets(pods: Mapping[str, str], context: StrategyContext) -> list[tuple[float, str]]:
+    """Return when a packet of each pod last passed the gate, and its name."""
+    found = ((context.gate.last_packet(uid), name) for uid, name in pods.items())
+    return [(packet, name) for packet, name in found if packet is not None]
 
 
 def _is_closed(progress: Progress, context: StrategyContext) -> bool:
@@ -288,11 +303,13 @@ async def give_state_and_bring_up(
 
 @dataclass
 class Outage:
-    """For how long during an attempt the API server did not answer, or this process could see nobody."""
+    """For how long during an attempt the API server did not answer, or this process could see nobody, or the network was late."""
 
     seconds: float = 0.0
     blind: float = 0.0
     """Seconds besides in which discovery had reported nobody to this process."""
+    network: float = 0.0
+    """Seconds besides in which the network did not follow the gate yet, after an outage of the API server."""
 
     def beside(self, message: str = "") -> str:
         """Return a message about the attempt that names what does not count too, if it was long enough to matter."""
@@ -301,6 +318,8 @@ class Outage:
             found.append(f"the API server did not answer for {self.seconds:.1f} s")
         if self.blind >= OUTAGE_REPORTED:
             found.append(f"DDS discovery reported nobody to the monitor for {self.blind:.1f} s")
+        if self.network >= OUTAGE_REPORTED:
+            found.append(f"the network did not follow the gate for {self.network:.1f} s after the API server was back")
         if not found:
             return message
         away = " and ".join(found)
@@ -308,20 +327,25 @@ class Outage:
 
 
 @asynccontextmanager
-async def answered_time(within: float, context: StrategyContext, outage: Outage | None = None) -> AsyncIterator[None]:
-    """Limit the context to ``within`` seconds in which the API server answers, and this process runs and has discovered somebody.
+async def answered_time(
+    within: float, progress: Progress, context: StrategyContext, outage: Outage | None = None
+) -> AsyncIterator[None]:
+    """Limit the context to ``within`` seconds in which the API server answers, the network follows the gate, and this process runs and has
+    discovered somebody.
 
     An outage of the control plane or of discovery says nothing about an understudy: it is added to ``outage``. Raises TimeoutError.
     """
     async with asyncio.timeout(None) as limit:
-        charging = asyncio.create_task(_charge(limit, within, context, outage or Outage()))
+        charging = asyncio.create_task(_charge(limit, within, progress, context, outage or Outage()))
         try:
             yield
         finally:
             charging.cancel()
 
 
-async def _charge(limit: asyncio.Timeout, within: float, context: StrategyContext, outage: Outage) -> None:
+async def _charge(
+    limit: asyncio.Timeout, within: float, progress: Progress, context: StrategyContext, outage: Outage
+) -> None:
     loop = asyncio.get_running_loop()
     charged, counted_until = 0.0, loop.time()
     while (left := within - charged) > CLOCK_RESOLUTION:  # a shorter sleep may pass without any time
@@ -331,10 +355,34 @@ async def _charge(limit: asyncio.Timeout, within: float, context: StrategyContex
         outage.seconds += now - counted_until - answered
         if context.outputs.blind:
             outage.blind += answered
+        elif network_is_late(progress, context):
+            outage.network += answered
         else:
             charged += min(answered, 2 * OUTAGE_CHECK_PERIOD)  # a longer sleep means that the process was stalled
         counted_until = now
     limit.reschedule(loop.time())
+
+
+def network_is_late(progress: Progress, context: StrategyContext) -> bool:
+    """Whether the network has not applied what the gate says since the last outage of the API server, and may do so soon.
+
+    No packet of an instance passes although the gate names it and its agent reports that it is ready; or one of another instance does
+    although the gate is closed. Each strategy needs the network, so none would be faster.
+    """
+    if (outage := context.gate.last_outage) is None:
+        return False
+    began, ended = outage
+    if loop_time() >= ended + min(LATE_AT_MOST, LATE_BY + LATE_FACTOR * (ended - began)):
+        return False
+    moments, state = progress.moments, context.gate.state
+    if state.closed:
+        fenced = moments.get("fenced", math.inf)
+        return any(packet > fenced for packet, _ in _last_packets(_known(progress, context), context))
+    target = context.instances.find(progress.target.uid) if progress.target is not None else None
+    if target is None or target.uid != state.active_uid or not target.has_agent:
+        return False
+    passed = context.gate.last_packet(target.uid) or 0.0
+    return passed < moments.get("committing", 0.0) and context.agents.is_ready(target)[0]
 
 
 def timeline(moments: dict[str, float], *steps: str) -> str:

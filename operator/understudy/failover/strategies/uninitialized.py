@@ -137,7 +137,7 @@ class UninitializedFallback(Strategy):
         """
         reason = f"the API server did not list the pods of FallbackPool {self.pool} within {within:.3g} s"
         try:
-            async with answered_time(within, context):
+            async with answered_time(within, progress, context):
                 while True:
                     try:
                         return await self.refresh(context, progress)

@@ -547,6 +547,12 @@ class GateControl:
         """Since when (by the event loop's clock) the API server has not answered; None while it answers."""
         return self._client.contact.unanswered_since
 
+    @property
+    def last_outage(self) -> tuple[float, float] | None:
+        """When (by the event loop's clock) the last outage of the API server began and ended; None for a mux, which gets its orders from
+        the monitor."""
+        return None if self._kind.is_at_robot else self._client.contact.last_outage
+
     def last_packet(self, uid: str) -> float | None:
         """Return when a packet of a pod last passed the gate; None if none did."""
         last = self._probes.last(uid)
