@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from tests.e2e.kubectl import Object
 from tests.e2e.scenario import READINESS_PROBE, Robot, manifest, patient
-from understudy.api import names
 
-_HOSTNAME = "kubernetes.io/hostname"
+_APART = "handovers.example/apart"
+"""A label of all pods that are on different nodes."""
 
 
 def objects(robot: Robot, *, handover: str, hertz: int) -> list[Object]:
@@ -27,16 +27,16 @@ def objects(robot: Robot, *, handover: str, hertz: int) -> list[Object]:
         [container] = pod["containers"]
         container["readinessProbe"] = READINESS_PROBE
         container["env"] = [{"name": "DRIVE_HERTZ", "value": str(hertz)}]
-        # No instance is on the node of the other one, or of the robot.
-        apart = [_without({names.WORKLOAD: robot.workload}), _without({"app": robot.name})]
-        pod["affinity"] = {"podAntiAffinity": {"requiredDuringSchedulingIgnoredDuringExecution": apart}}
+        # No instance is on the node of the other one, or of the robot. There is one term for both: schedulers before Kubernetes 1.37 try a pod
+        # again only if the pod that was deleted matches every term (kubernetes/kubernetes#139161).
+        workload["spec"]["template"]["metadata"].setdefault("labels", {})[_APART] = robot.name
+        apart = {"topologyKey": "kubernetes.io/hostname", "labelSelector": {"matchLabels": {_APART: robot.name}}}
+        pod["affinity"] = {"podAntiAffinity": {"requiredDuringSchedulingIgnoredDuringExecution": [apart]}}
 
     policy, pool = patient(manifest("strategies/executing.yaml"))
     policy["spec"]["monitoring"]["yaml"]["parallel"].append({"pod": {"condition": "ContainersReady", "for": "500ms"}})
     policy["spec"]["strategies"][0]["handover"] = handover
-    return [policy, pool, *robot.objects(policy=policy["metadata"]["name"], edit=edit)]
-
-
-def _without(labels: dict[str, str]) -> Object:
-    """A term of an affinity: nodes without pods that have these labels."""
-    return {"topologyKey": _HOSTNAME, "labelSelector": {"matchLabels": labels}}
+    found = robot.objects(policy=policy["metadata"]["name"], edit=edit)
+    of_robot = next(item for item in found if item["kind"] == "Deployment")
+    of_robot["spec"]["template"]["metadata"]["labels"][_APART] = robot.name
+    return [policy, pool, *found]
