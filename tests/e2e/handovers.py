@@ -27,8 +27,8 @@ def objects(robot: Robot, *, handover: str, hertz: int) -> list[Object]:
         [container] = pod["containers"]
         container["readinessProbe"] = READINESS_PROBE
         container["env"] = [{"name": "DRIVE_HERTZ", "value": str(hertz)}]
-        # No instance is on the node of the other one, or of the robot. There is one term for both: schedulers before Kubernetes 1.37 try a pod
-        # again only if the pod that was deleted matches every term (kubernetes/kubernetes#139161).
+        # No instance is on the node of the other one, or of the robot. There is one term for both: older schedulers try a pod again only if
+        # the pod that was deleted matches every term (kubernetes/kubernetes#139161).
         workload["spec"]["template"]["metadata"].setdefault("labels", {})[_APART] = robot.name
         apart = {"topologyKey": "kubernetes.io/hostname", "labelSelector": {"matchLabels": {_APART: robot.name}}}
         pod["affinity"] = {"podAntiAffinity": {"requiredDuringSchedulingIgnoredDuringExecution": [apart]}}
