@@ -126,7 +126,8 @@ class Bench:
         """Wait until the gate lets a standby through, with ``apart`` on another node, and return the active pod."""
 
         def armed() -> Object | None:
-            if self._robot.condition("Reflex").get("status") != "True":
+            # A network such as Cilium follows the gate late after an outage of the API server.
+            if any(self._robot.condition(name).get("status") != "True" for name in ("Reflex", "GateEnforced")):
                 return None
             active = self._robot.status()["active"]
             pods = {p["metadata"]["name"]: p for p in self._robot.pods() if not p["metadata"].get("deletionTimestamp")}
