@@ -159,7 +159,15 @@ def test_a_mistake_in_a_node_is_reported_with_its_place_and_the_valid_values(nod
         ("", "line 1, column 1: this is not XML: no element found"),
         ("parallel: []", "line 1, column 1: this is not XML: syntax error"),
         ("<root>\n  <a></b>\n</root>", "line 2, column 8: this is not XML: mismatched tag"),
-        ("<root>&scan;</root>", "line 1, column 7: this is not XML: undefined entity"),
+        (
+            '<root>\n  <a when="b < 2"/>\n</root>',
+            "line 2, column 14: this is not XML: not well-formed (invalid token); write &lt; for < in the value of an attribute",
+        ),
+        (
+            '<root>\n  <a when="b && c"/>\n</root>',
+            "line 2, column 15: this is not XML: not well-formed (invalid token); write &amp; for &",
+        ),
+        ("<root>&scan;</root>", "line 1, column 7: this is not XML: undefined entity; write &amp; for &"),
         (
             "\n<?xml version='1.0'?>\n<root/>",
             "line 2, column 1: this is not XML: XML or text declaration not at start of entity",

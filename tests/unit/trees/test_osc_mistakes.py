@@ -155,6 +155,10 @@ HEAD = "import osc.understudy\n"
             "line 1, column 1: the text: does not import its library; begin it with: import osc.understudy",
         ),
         (
+            f"{HEAD}scenario a\n    do {LEAF}\n",
+            "line 2, column 11: this is not OpenSCENARIO 2: an indented block follows, so this line must end with ':'",
+        ),
+        (
             HEAD,
             "line 1, column 1: the text: has no scenario; give it one: scenario healthy: with do parallel: in it",
         ),

@@ -105,12 +105,19 @@ def main(arguments: list[str]) -> int:
         epilog="Exit status: 0 without errors, 1 with errors, 2 if a file cannot be read.",
     )
     parser.add_argument(
-        "files", nargs="+", metavar="FILE", help="a manifest, a folder (its *.yaml and *.yml), or - for standard input"
+        "files", nargs="*", metavar="FILE", help="a manifest, a folder (its *.yaml and *.yml), or - for standard input"
     )
+    parser.add_argument(
+        "-f", "--filename", action="append", default=[], metavar="FILE", help="the same, as kubectl has it"
+    )
+    parser.add_argument("-R", "--recursive", action="store_true", help="read the subfolders of folders too")
     parser.add_argument("--strict", action="store_true", help="exit with 1 also for warnings")
     add_output(parser, "one line per finding, or all details as JSON or YAML")
     options = parser.parse_args(arguments)
-    result = check(list(manifest_reader.contents(options.files).items()))
+    files = [*options.files, *options.filename]
+    if not files:
+        parser.error("give a file or a folder with manifests, or - for standard input")
+    result = check(list(manifest_reader.contents(files, recursive=options.recursive).items()))
     text = options.output == "text"
     terminal.write(map(str, result.findings) if text else [structured(result.to_wire(), options.output)])
     print(f"understudy check: {result.totals()}", file=sys.stderr)

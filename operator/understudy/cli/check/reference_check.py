@@ -27,7 +27,8 @@ _MOST_SHOWN = 5
 
 
 def check(manifests: Sequence[Manifest]) -> Iterator[Finding]:
-    """Yield references and selectors without a target, and workloads that no pool of their policy serves."""
+    """Yield references and selectors without a target, workloads that no pool of their policy serves, and what is given twice."""
+    yield from _twice(manifests)
     workloads, policies, pools = (
         [one for one in manifests if one.kind == kind] for kind in ("RobotWorkload", "FailurePolicy", "FallbackPool")
     )
@@ -40,6 +41,7 @@ def check(manifests: Sequence[Manifest]) -> Iterator[Finding]:
             yield from _never_idle(workload, policy)
             yield from _outputs_not_watched(workload, policy)
         yield from _depends(workload, workloads)
+    yield from _one_source(workloads)
     for policy in policies:
         for index, strategy in enumerate(items(policy.data, "spec", "strategies")):
             path, name = f"spec.strategies[{index}].poolRef.name", at(strategy, "poolRef", "name")
@@ -54,6 +56,34 @@ def check(manifests: Sequence[Manifest]) -> Iterator[Finding]:
         name = at(pool.data, "spec", "templateFrom", "workload")
         yield from missing(pool, "spec.templateFrom.workload", "RobotWorkload", name, workloads)
         yield from _selects(pool, workloads)
+
+
+def _twice(manifests: Sequence[Manifest]) -> Iterator[Finding]:
+    """Report an object that is given again. In another file it is a warning, because it may be a variant of the first one."""
+    first: dict[tuple[str, str, str], Manifest] = {}
+    for one in manifests:
+        other = first.setdefault((one.kind, one.namespace, one.name), one)
+        if one.name and other is not one:
+            message = (
+                f"this {one.kind} is in {other.file}:{other.place('metadata.name').line} too, and the one that is applied last "
+                "replaces the other; remove one of them, or give it another name"
+            )
+            yield one.finding("metadata.name", message, warning=one.file != other.file)
+
+
+def _one_source(workloads: Sequence[Manifest]) -> Iterator[Finding]:
+    """Report a workload whose pods are those of another workload already."""
+    for index, one in enumerate(workloads):
+        source = at(one.data, "spec", "workloadRef")
+        for other in workloads[:index]:
+            same = isinstance(source, Mapping) and source == at(other.data, "spec", "workloadRef")
+            if same and one.together(other) and one.name != other.name:
+                message = (
+                    f"{source.get('kind')} {source.get('name')} is the source of RobotWorkload {other.name} ({other.file}) already, "
+                    "and a pod belongs to one workload; list the outputs of both in one RobotWorkload, or give each its own pods"
+                )
+                yield one.finding("spec.workloadRef.name", message)
+                break
 
 
 def _depends(workload: Manifest, workloads: Sequence[Manifest]) -> Iterator[Finding]:

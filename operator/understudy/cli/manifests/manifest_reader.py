@@ -130,12 +130,15 @@ class TooMuch(Exception):
         self.node, self.message = node, message
 
 
-def contents(arguments: Iterable[str]) -> dict[str, bytes]:
-    """Return the contents of the files that arguments select, by name, each once. Raises CommandError."""
-    return dict(entry for argument in dict.fromkeys(arguments) for entry in _contents(argument))
+def contents(arguments: Iterable[str], *, recursive: bool = False) -> dict[str, bytes]:
+    """Return the contents of the files that arguments select, by name, each once; with ``recursive``, those of subfolders of folders too.
+
+    Raises CommandError.
+    """
+    return dict(entry for argument in dict.fromkeys(arguments) for entry in _contents(argument, recursive))
 
 
-def _contents(argument: str) -> Iterator[tuple[str, bytes]]:
+def _contents(argument: str, recursive: bool) -> Iterator[tuple[str, bytes]]:
     if argument == STANDARD_INPUT:
         yield "<stdin>", sys.stdin.buffer.read()
         return
@@ -144,7 +147,8 @@ def _contents(argument: str) -> Iterator[tuple[str, bytes]]:
         if not path.is_dir():
             yield argument, path.read_bytes()
             return
-        found = sorted(one for one in path.iterdir() if one.suffix in SUFFIXES and one.is_file())
+        inside = path.rglob("*") if recursive else path.iterdir()
+        found = sorted(one for one in inside if one.suffix in SUFFIXES and one.is_file())
         for one in found:
             yield str(one), one.read_bytes()
     except (OSError, ValueError) as error:  # ValueError: an invalid file name
@@ -153,8 +157,8 @@ def _contents(argument: str) -> Iterator[tuple[str, bytes]]:
             f"{argument}: {why}; give a file, a folder with *.yaml or *.yml files, or - for standard input"
         ) from error
     if not found:
-        folders = ", ".join(str(one) for one in sorted(path.iterdir()) if one.is_dir())
-        inner = f"; subfolders are not read, so give them too: {folders}" if folders else ""
+        has_folders = not recursive and any(one.is_dir() for one in path.iterdir())
+        inner = "; add -R (--recursive) to read its subfolders" if has_folders else ""
         raise CommandError(f"{argument}: no *.yaml and no *.yml in this folder{inner}")
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from understudy.api.schema.definitions import PRESERVE, VALIDATIONS, Schema
 from understudy.cli.manifests import cel
-from understudy.trees.source.problems import Problem, did_you_mean
+from understudy.trees.source.problems import Problem, closest, did_you_mean
 from understudy.trees.source.value_reader import found_text
 
 _TYPES = {
@@ -137,24 +137,28 @@ def _bounds(value: Any, schema: Schema) -> Iterator[str]:
 
 def _object(value: Mapping[str, Any], schema: Schema, path: str) -> Iterator[Problem]:
     properties = schema.get("properties", {})
+    absent = [known for known in properties if known not in value]
+    # A required field whose name is misspelled is one mistake.
+    misspelled = (
+        {closest(str(name), absent) for name in value if name not in properties} if _is_strict(schema) else set()
+    )
     for name in schema.get("required", ()):
-        if name not in value:
+        if name not in value and name not in misspelled:
             yield Problem(join(path, name), f"missing{_how_to_add(name, properties.get(name, {}))}")
     for name, item in value.items():
         if name in properties:
             yield from _validate(item, properties[name], join(path, name))
         elif "additionalProperties" in schema:
             yield from _validate(item, schema["additionalProperties"], join(path, name))
-        elif PRESERVE not in schema:
-            missing = [known for known in properties if known not in value]
-            message = f"unknown field {name!r:.80}{_known(str(name), missing, properties)}"
-            yield UnknownField(join(path, name), message, str(name))
+        elif _is_strict(schema):
+            # One that is not given yet is meant more probably.
+            hint = did_you_mean(str(name), absent if closest(str(name), absent) else properties)
+            yield UnknownField(join(path, name), f"unknown field {name!r:.80}{hint}", str(name))
 
 
-def _known(name: str, missing: list[str], properties: Mapping[str, Schema]) -> str:
-    """Suggest a known field for an unknown one, preferably one that is not given yet."""
-    close = did_you_mean(name, missing)
-    return close if close.startswith(", did") else did_you_mean(name, properties)
+def _is_strict(schema: Schema) -> bool:
+    """Whether an object may have the fields of the schema and no others."""
+    return "additionalProperties" not in schema and PRESERVE not in schema
 
 
 def _how_to_add(name: str, schema: Schema) -> str:

@@ -45,8 +45,17 @@ class TreeError(ValueError):
 
 def did_you_mean(found: str, known: Iterable[str]) -> str:
     """Return ``, did you mean X?`` if a known word is similar, else the list of known words."""
-    known = list(itertools.islice((word for word in known if len(word) <= _LONGEST_WORD), _MOST_WORDS))
-    close = difflib.get_close_matches(found, known, n=1, cutoff=0.6) if len(found) <= _LONGEST_WORD else []
-    if close:
-        return f", did you mean {close[0]!r}?"
+    known = _words(known)
+    if (close := closest(found, known)) is not None:
+        return f", did you mean {close!r}?"
     return f"; known are {', '.join(known)}"
+
+
+def closest(found: str, known: Iterable[str]) -> str | None:
+    """Return the known word that is most similar to a word, if one is similar enough to be meant."""
+    close = difflib.get_close_matches(found, _words(known), n=1, cutoff=0.6) if len(found) <= _LONGEST_WORD else []
+    return close[0] if close else None
+
+
+def _words(known: Iterable[str]) -> list[str]:
+    return list(itertools.islice((word for word in known if len(word) <= _LONGEST_WORD), _MOST_WORDS))

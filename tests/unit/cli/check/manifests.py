@@ -40,6 +40,11 @@ spec:
 """
 
 
+def workload(name: str) -> str:
+    """Another workload, with pods of its own."""
+    return WORKLOAD.replace("robot-17", name).replace("nav2", f"nav2-{name}")
+
+
 def checked(*texts: str) -> Result:
     """The result for files a.yaml, b.yaml and so on."""
     return check([(f"{chr(ord('a') + index)}.yaml", text.encode()) for index, text in enumerate(texts)])

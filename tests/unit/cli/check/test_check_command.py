@@ -37,6 +37,14 @@ def test_a_folder_stands_for_its_manifests(folder: Path, capsys: pytest.CaptureF
     assert_golden("check", captured.err, "2 objects", "2 files", "0 errors", "0 warnings")
 
 
+@pytest.mark.parametrize("arguments", [["-f", "fleet"], ["-R", "."], ["-R", "-f", ".", "fleet"]])
+def test_files_are_given_as_for_kubectl_too(
+    folder: Path, capsys: pytest.CaptureFixture[str], arguments: list[str]
+) -> None:
+    assert main(arguments) == 0
+    assert "2 objects checked in 2 files" in capsys.readouterr().err
+
+
 def test_errors_end_with_status_1_and_warnings_only_with_strict(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -88,7 +96,7 @@ def test_manifests_are_read_from_standard_input(
     ("arguments", "message"),
     [
         (["nowhere.yaml"], "nowhere.yaml: No such file or directory; give a file"),
-        (["."], "no *.yaml and no *.yml in this folder; subfolders are not read, so give them too: fleet"),
+        (["."], "no *.yaml and no *.yml in this folder; add -R (--recursive) to read its subfolders"),
         (["a\0b"], "give a file"),
     ],
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.support.golden import assert_golden
-from tests.unit.cli.check.manifests import POLICY, POOL, WORKLOAD, checked, found, only, text
+from tests.unit.cli.check.manifests import POLICY, POOL, WORKLOAD, checked, found, only, text, workload
 from understudy.cli.check.command import check
 
 
@@ -129,10 +129,8 @@ def test_an_invalid_expression_is_reported_at_its_place() -> None:
 
 @pytest.mark.parametrize("field", ["bringUp", "initialization", "readinessCheck"])
 def test_mistakes_in_procedures_and_checks_are_reported(field: str) -> None:
-    base = WORKLOAD if field == "bringUp" else POOL
-    finding = only(
-        POLICY, WORKLOAD, f"{base.replace('robot-17', 'robot-18')}  {field}: {{yaml: {{set_lifecycl: {{}}}}}}\n"
-    )
+    base = workload("robot-18") if field == "bringUp" else POOL
+    finding = only(POLICY, WORKLOAD, f"{base}  {field}: {{yaml: {{set_lifecycl: {{}}}}}}\n")
     assert finding.field == f"spec.{field}.yaml.set_lifecycl"
     assert finding.file == "c.yaml"
 
@@ -186,6 +184,10 @@ def test_a_template_with_networks_that_no_gate_controls_is_reported_at_its_annot
             "a.yaml:3:12: error: FailurePolicy b: metadata.label: unknown field 'label', did you mean 'labels'?",
         ),
         (
+            ("strategies:", "strategys:"),
+            "a.yaml:7:3: error: FailurePolicy navigation: spec.strategys: unknown field 'strategys', did you mean 'strategies'?",
+        ),
+        (
             ("{name: navigation}", "{}"),
             "a.yaml:3:1: error: FailurePolicy (no name): metadata.name: missing; set a name",
         ),
@@ -209,7 +211,7 @@ def test_a_template_with_networks_that_no_gate_controls_is_reported_at_its_annot
             "write a duration as a number with ms, s, m or h",
         ),
     ],
-    ids=["name", "label", "label-value", "metadata", "no-name", "version", "kind", "elsewhere", "number"],
+    ids=["name", "label", "label-value", "metadata", "required", "no-name", "version", "kind", "elsewhere", "number"],
 )
 def test_mistakes_that_the_api_server_refuses_are_reported(change: tuple[str, str], line: str) -> None:
     assert line in str(only(POLICY.replace(*change)))

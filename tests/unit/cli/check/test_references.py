@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tests.support.golden import assert_golden
-from tests.unit.cli.check.manifests import POLICY, POOL, WORKLOAD, found, only
+from tests.unit.cli.check.manifests import POLICY, POOL, WORKLOAD, found, only, workload
 
 FALLBACK = POLICY.replace("{type: Restart}", "{type: Fallback, poolRef: {name: hot}}")
 
@@ -30,11 +30,11 @@ def test_a_pool_missing_from_the_files_is_reported() -> None:
 
 
 def test_a_pool_that_selects_no_workload_is_reported() -> None:
-    workload, pool = found(FALLBACK, WORKLOAD, POOL.replace("app: navigation", "app: nav"))
+    of_workload, pool = found(FALLBACK, WORKLOAD, POOL.replace("app: navigation", "app: nav"))
     assert (pool.severity, pool.field) == ("warning", "spec.workloadSelector")
     assert "robot-17 has labels app=navigation" in pool.message
-    assert (workload.severity, workload.field) == ("warning", "metadata.labels")
-    assert "no fallback of FailurePolicy navigation could run" in workload.message
+    assert (of_workload.severity, of_workload.field) == ("warning", "metadata.labels")
+    assert "no fallback of FailurePolicy navigation could run" in of_workload.message
 
 
 def test_a_pool_without_any_workload_is_reported() -> None:
@@ -46,7 +46,7 @@ def test_a_pool_without_any_workload_is_reported() -> None:
 def test_a_workload_that_another_pool_of_its_policy_serves_has_no_warning() -> None:
     policy = FALLBACK.replace("hot}}", "hot}}\n    - {type: Fallback, poolRef: {name: warm}}")
     hot = POOL.replace("app: navigation", "app: navigation, task: critical")
-    critical = WORKLOAD.replace("robot-17", "robot-18").replace("app: navigation", "app: navigation, task: critical")
+    critical = workload("robot-18").replace("app: navigation", "app: navigation, task: critical")
     assert found(policy, WORKLOAD, critical, hot, POOL.replace("hot", "warm")) == []
 
 
@@ -109,7 +109,7 @@ def test_a_policy_with_its_tree_in_a_configmap_is_not_reported() -> None:
 
 def needing(name: str, *others: str) -> str:
     listed = ", ".join(f"{{name: {other}}}" for other in others)
-    return WORKLOAD.replace("robot-17", name) + f"  dependsOn: [{listed}]\n"
+    return workload(name) + f"  dependsOn: [{listed}]\n"
 
 
 def test_circular_dependencies_are_reported() -> None:
@@ -138,7 +138,7 @@ def test_the_action_after_a_recovery_needs_its_procedure() -> None:
     def one(entry: str) -> str:
         return WORKLOAD + f"  dependsOn: [{{name: other, {entry}}}]\n"
 
-    other = WORKLOAD.replace("robot-17", "other")
+    other = workload("other")
     assert "procedure is required" in only(POLICY, other, one("onRecovery: Procedure")).message
     assert "procedure is required" in only(POLICY, other, one("procedure: {yaml: {wait_for: {node: /a}}}")).message
     assert "which is missing: set spec.bringUp" in only(POLICY, other, one("onRecovery: Reinitialize")).message
@@ -146,3 +146,27 @@ def test_the_action_after_a_recovery_needs_its_procedure() -> None:
         POLICY, other, one("onRecovery: Procedure, procedure: {yaml: {set_lifecycle: {node: amcl, state: active}}}")
     )
     assert wrong.field == "spec.dependsOn[0].procedure.yaml.set_lifecycle.node"
+
+
+def test_an_object_that_is_given_twice_is_an_error_in_one_file_and_a_warning_in_two() -> None:
+    second = only(POLICY, f"{WORKLOAD}---\n{WORKLOAD}")
+    assert (second.severity, second.field, second.place.line) == ("error", "metadata.name", 12)
+    assert_golden("check", second.message, "RobotWorkload", "b.yaml:3")
+    variant = only(POLICY, WORKLOAD, WORKLOAD)
+    assert (variant.severity, variant.file) == ("warning", "c.yaml")
+
+
+def test_objects_of_one_name_in_two_namespaces_or_of_two_kinds_are_not_the_same() -> None:
+    named = POLICY.replace("navigation", "robot-17"), WORKLOAD.replace("name: navigation}", "name: robot-17}")
+    assert found(*named) == []
+    there = [text.replace("metadata: {", "metadata: {namespace: a, ") for text in (POLICY, WORKLOAD)]
+    assert found(*there, *(text.replace("namespace: a", "namespace: b") for text in there)) == []
+
+
+def test_two_workloads_of_one_source_are_an_error() -> None:
+    finding = only(POLICY, WORKLOAD, WORKLOAD.replace("robot-17", "robot-18"))
+    assert (finding.severity, finding.file, finding.field) == ("error", "c.yaml", "spec.workloadRef.name")
+    assert_golden("check", finding.message, "Deployment nav2", "RobotWorkload robot-17")
+    there = [text.replace("metadata: {", "metadata: {namespace: a, ") for text in (POLICY, WORKLOAD)]
+    other = [text.replace("namespace: a", "namespace: b").replace("robot-17", "robot-18") for text in there]
+    assert found(*there, *other) == [], "they are in two namespaces"

@@ -37,6 +37,9 @@ class Element:
     """The texts between its elements, except white space."""
 
 
+_INVALID_TOKEN = expat.errors.codes[expat.errors.XML_ERROR_INVALID_TOKEN]
+
+
 def parse(text: str, begins: TextOffset = WHOLE_FILE) -> Element:
     """Return the root element, with the lines and columns of the file in which the text ``begins``. Raises
     Malformed."""
@@ -57,6 +60,17 @@ def _parsed(text: str, begins: TextOffset) -> Element:
     return _Builder(begins).parse(text)
 
 
+def _hint(text: str, error: expat.ExpatError) -> str:
+    """Say how to write a character that XML uses itself, if that is what is wrong."""
+    lines = text.split("\n")
+    line = lines[error.lineno - 1] if error.lineno <= len(lines) else ""
+    if error.code == _INVALID_TOKEN and line[error.offset : error.offset + 1] == "<":
+        return "; write &lt; for < in the value of an attribute"
+    if line[: error.offset + 1].rstrip(" ").endswith("&"):
+        return "; write &amp; for &"
+    return ""
+
+
 class _Builder:
     def __init__(self, begins: TextOffset) -> None:
         self._begins = begins
@@ -73,9 +87,8 @@ class _Builder:
         try:
             self._parser.Parse(text, True)
         except expat.ExpatError as error:
-            raise Malformed(
-                f"this is not XML: {expat.ErrorString(error.code)}", error.lineno, error.offset + 1
-            ) from error
+            message = f"this is not XML: {expat.ErrorString(error.code)}{_hint(text, error)}"
+            raise Malformed(message, error.lineno, error.offset + 1) from error
         except UnicodeEncodeError as error:
             raise Malformed("this is not XML: it has a lone surrogate") from error
         assert self._outermost is not None, "what is well-formed has one"

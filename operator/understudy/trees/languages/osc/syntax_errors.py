@@ -36,7 +36,12 @@ class FirstErrorListener:
         """Raise the error; called by lexer and parser."""
         if (unread := _UNREAD.fullmatch(message)) is not None:
             raise Malformed(_unread(unread[1]), line, column + 1)
-        found, line, column = _found(symbol, recognizer.getTokenStream().tokens)
+        tokens = recognizer.getTokenStream().tokens
+        if (place := _without_colon(symbol, tokens)) is not None:
+            raise Malformed(
+                "this is not OpenSCENARIO 2: an indented block follows, so this line must end with ':'", *place
+            )
+        found, line, column = _found(symbol, tokens)
         raise Malformed(f"this is not OpenSCENARIO 2: found {found}{_expected(message, symbol.text)}", line, column)
 
     def reportAmbiguity(self, *_: Any) -> None:
@@ -63,12 +68,33 @@ def _found(symbol: Any, tokens: Sequence[Any]) -> tuple[str, int, int]:
     it."""
     if symbol.text.strip() and symbol.text != "<EOF>":
         return repr(symbol.text if len(symbol.text) <= 60 else f"{symbol.text[:57]}..."), symbol.line, symbol.column + 1
-    read_tokens = [token for token in tokens[: symbol.tokenIndex] if token.text.strip()]
-    indented = symbol.text.strip("\n\r\f") and not symbol.text.strip()
+    read_tokens = _read(symbol, tokens)
+    indented = _is_indented(symbol)
     if indented or not read_tokens:
         what = "an indented line" if indented else "the end of the text"
         return what, symbol.line, symbol.column + 1
-    return "the end of the line", read_tokens[-1].line, read_tokens[-1].column + len(read_tokens[-1].text) + 1
+    return "the end of the line", *_behind(read_tokens[-1])
+
+
+def _without_colon(symbol: Any, tokens: Sequence[Any]) -> tuple[int, int] | None:
+    """Return the end of the line in front of an indented one, if it lacks the colon that begins a block."""
+    read_tokens = _read(symbol, tokens)
+    if not _is_indented(symbol) or not read_tokens or read_tokens[-1].text == ":":
+        return None
+    return _behind(read_tokens[-1])
+
+
+def _is_indented(symbol: Any) -> bool:
+    return bool(symbol.text.strip("\n\r\f")) and not symbol.text.strip()
+
+
+def _read(symbol: Any, tokens: Sequence[Any]) -> list[Any]:
+    """Return the words in front of a token."""
+    return [token for token in tokens[: symbol.tokenIndex] if token.text.strip()]
+
+
+def _behind(token: Any) -> tuple[int, int]:
+    return token.line, token.column + len(token.text) + 1
 
 
 def _expected(message: str, found: str) -> str:
