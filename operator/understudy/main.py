@@ -22,46 +22,56 @@ class Verb(NamedTuple):
     """Its ``main`` receives the arguments after the verb and returns the exit status."""
     summary: str
     """One line for ``understudy --help`` and the reference page."""
+    group: str = ""
+    """Its heading in the help. Without one, the help and shell completion leave it out."""
     in_pods: bool = False
-    """Whether only containers that Understudy creates run it. The help and shell completion leave it out."""
+    """Whether only containers that Understudy creates run it."""
     has_options: bool = True
     """False if the environment configures it, so that it parses no arguments."""
 
 
+SEE, ACT, DESIGN, SET_UP = "See", "Act", "Design", "Set up"
+
 # In the order in which people need them.
 VERBS = (
-    Verb("check", "understudy.cli.check.command", "validate manifests without a cluster"),
-    Verb("status", "understudy.cli.inspect.status", "show all robots: active instance, standbys, problems"),
-    Verb("explain", "understudy.cli.inspect.explain", "explain a robot's state and what a failure would trigger now"),
-    Verb("timeline", "understudy.cli.inspect.timeline", "show the last recoveries of a robot"),
-    Verb("tree", "understudy.cli.inspect.tree", "show the live health tree of a robot"),
-    Verb("doctor", "understudy.cli.doctor.command", "check that the cluster provides what Understudy needs"),
-    Verb("report", "understudy.cli.report.command", "write a report about the recoveries of a period"),
-    Verb("blackbox", "understudy.cli.inspect.blackbox", "list or fetch recordings of a robot's failures"),
-    Verb("pause", "understudy.cli.control.pause", "suspend automatic recovery of a robot"),
-    Verb("resume", "understudy.cli.control.resume", "end a pause and reset the recovery limits"),
-    Verb("failover", "understudy.cli.control.failover", "switch a robot to another instance although nothing failed"),
+    Verb("check", "understudy.cli.check.command", "validate manifests without a cluster", SET_UP),
+    Verb("status", "understudy.cli.inspect.status", "show all robots: active instance, standbys, problems", SEE),
+    Verb(
+        "explain", "understudy.cli.inspect.explain", "explain a robot's state and what a failure would trigger now", SEE
+    ),
+    Verb("timeline", "understudy.cli.inspect.timeline", "show the last recoveries of a robot", SEE),
+    Verb("tree", "understudy.cli.inspect.tree", "show the live health tree of a robot", SEE),
+    Verb("doctor", "understudy.cli.doctor.command", "check that the cluster provides what Understudy needs", SET_UP),
+    Verb("report", "understudy.cli.report.command", "write a report about the recoveries of a period", SEE),
+    Verb("blackbox", "understudy.cli.inspect.blackbox", "list or fetch recordings of a robot's failures", SEE),
+    Verb("pause", "understudy.cli.control.pause", "suspend automatic recovery of a robot", ACT),
+    Verb("resume", "understudy.cli.control.resume", "end a pause and reset the recovery limits", ACT),
+    Verb(
+        "failover", "understudy.cli.control.failover", "switch a robot to another instance although nothing failed", ACT
+    ),
     Verb(
         "failback",
         "understudy.cli.control.failback",
         "switch a robot back to a pod of its Deployment, StatefulSet or template",
+        ACT,
     ),
-    Verb("fence", "understudy.cli.control.fence", "deny all instances access to a robot"),
-    Verb("inject", "understudy.cli.inject.command", "make the active instance fail, if the namespace allows it"),
+    Verb("fence", "understudy.cli.control.fence", "deny all instances access to a robot", ACT),
+    Verb("inject", "understudy.cli.inject.command", "make the active instance fail, if the namespace allows it", ACT),
     Verb(
         "robot-profile",
         "understudy.cli.control.robot_profile",
         "write the DDS profiles, or the settings of a mux, for a robot outside the cluster",
+        SET_UP,
     ),
-    Verb("simulate", "understudy.cli.simulate.simulate", "evaluate a policy on a recorded bag"),
-    Verb("watch", "understudy.cli.simulate.watch", "evaluate a policy on a live ROS graph"),
-    Verb("learn", "understudy.cli.simulate.learn", "measure gaps and rates in a recorded bag"),
-    Verb("size", "understudy.cli.plan.size", "calculate how many waiting pods a fleet needs in a shared pool"),
-    Verb("recommend", "understudy.cli.plan.recommend", "recommend strategies for a policy's requirements"),
-    Verb("mux", "understudy.mux.process", "forward one instance to the robot, at the robot", has_options=False),
+    Verb("simulate", "understudy.cli.simulate.simulate", "evaluate a policy on a recorded bag", DESIGN),
+    Verb("watch", "understudy.cli.simulate.watch", "evaluate a policy on a live ROS graph", DESIGN),
+    Verb("learn", "understudy.cli.simulate.learn", "measure gaps and rates in a recorded bag", DESIGN),
+    Verb("size", "understudy.cli.plan.size", "calculate how many waiting pods a fleet needs in a shared pool", DESIGN),
+    Verb("recommend", "understudy.cli.plan.recommend", "recommend strategies for a policy's requirements", DESIGN),
+    Verb("mux", "understudy.mux.process", "forward one instance to the robot, at the robot", SET_UP, has_options=False),
     Verb("tracker", "understudy.tracker.process", "track robots with a camera"),
     Verb("verify", "understudy.controller.runtime.installation_test", "test the installation (used by helm test)"),
-    Verb("completion", "understudy.cli.completion.command", "print the completion script of a shell"),
+    Verb("completion", "understudy.cli.completion.command", "print the completion script of a shell", SET_UP),
     Verb("operator", "understudy.controller.runtime.process", "reconcile the objects of the cluster", in_pods=True),
     Verb("monitor", "understudy.monitor.process", "watch one workload and recover it", in_pods=True, has_options=False),
     Verb("agent", "understudy.agent.process", "the sidecar of an instance", in_pods=True, has_options=False),
@@ -76,7 +86,10 @@ VERBS = (
 )
 
 _BY_NAME = {verb.name: verb for verb in VERBS}
-_FOR_PEOPLE = [verb for verb in VERBS if not verb.in_pods]
+_FOR_PEOPLE = [verb for verb in VERBS if verb.group]
+
+_WITH_VALUE = ("-n", "--namespace", "--context", "--kubeconfig")
+"""Options that may be in front of the verb, as in ``kubectl understudy -n fleet status``, and that have a value."""
 
 
 def main() -> int:
@@ -87,9 +100,13 @@ def main() -> int:
     if not arguments or arguments[0] in ("-h", "--help", "help"):
         print(_help(), file=sys.stdout if arguments else sys.stderr)
         return 0 if arguments else 2
-    if arguments[0] == "--version":
+    if arguments[0] in ("--version", "version"):
         print(f"understudy {__version__}")
         return 0
+    arguments = _verb_first(arguments)
+    if arguments[0].startswith("-"):
+        print(_help(), file=sys.stderr)
+        return 2
     verb = _BY_NAME.get(arguments[0])
     if verb is None:
         print(f"understudy: unknown verb {arguments[0]!r}{_suggestion(arguments[0])}", file=sys.stderr)
@@ -98,6 +115,14 @@ def main() -> int:
         with importlib.import_module("understudy.cli.common.text.terminal").guarded_output():
             return _run(verb, arguments[1:])
     _end(_run(verb, arguments[1:]))
+
+
+def _verb_first(arguments: list[str]) -> list[str]:
+    """Move options in front of the verb behind it, if there is a verb. The verb refuses what it does not have."""
+    count = 0
+    while count < len(arguments) and arguments[count].startswith("-"):
+        count += 2 if arguments[count] in _WITH_VALUE else 1
+    return [*arguments[count : count + 1], *arguments[:count], *arguments[count + 1 :]]
 
 
 def _run(verb: Verb, arguments: list[str]) -> int:
@@ -138,11 +163,12 @@ def import_frozen(module: str) -> ModuleType:
 
 def _help() -> str:
     width = max(len(verb.name) for verb in _FOR_PEOPLE) + 2
-    listed = "\n".join(f"  {verb.name:{width}}{verb.summary}" for verb in _FOR_PEOPLE)
-    return (
-        f"usage: understudy VERB ...\n\n{listed}\n\n"
-        "Use understudy VERB --help for the options of a verb, and understudy --version for the version."
-    )
+    lines = ["usage: understudy VERB ..."]
+    for group in (SEE, ACT, DESIGN, SET_UP):
+        lines += ["", group]
+        lines += [f"  {verb.name:{width}}{verb.summary}" for verb in _FOR_PEOPLE if verb.group == group]
+    lines += ["", "Use understudy VERB --help for the options of a verb, and understudy version for the version."]
+    return "\n".join(lines)
 
 
 def _suggestion(found: str) -> str:

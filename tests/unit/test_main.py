@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import argparse
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 
 from understudy import __version__
 from understudy import main as command
+from understudy.cli.common.cluster_access import kubectl
 
 
 def _run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
@@ -17,12 +20,17 @@ def _run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
 
 
 @pytest.mark.parametrize("asked", ["--help", "-h", "help"])
-def test_help_lists_each_verb_for_users(
+def test_help_lists_each_verb_for_users_on_one_screen(
     asked: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert _run(monkeypatch, asked) == 0
-    listed = [line.split()[0] for line in capsys.readouterr().out.splitlines() if line.startswith("  ")]
-    assert sorted(listed) == sorted(verb.name for verb in command.VERBS if not verb.in_pods)
+    lines = capsys.readouterr().out.splitlines()
+    listed = [line.split()[0] for line in lines if line.startswith("  ")]
+    inner = {"verify", "tracker"}  # for the chart and for the containers of a tracker
+    assert sorted(listed) == sorted(verb.name for verb in command.VERBS if not verb.in_pods and verb.name not in inner)
+    assert [line for line in lines if line in ("See", "Act", "Design", "Set up")] == ["See", "Act", "Design", "Set up"]
+    assert len(lines) <= 36
+    assert max(map(len, lines)) <= 100
 
 
 def test_a_missing_verb_is_an_error_with_the_help_text(
@@ -48,8 +56,42 @@ def test_an_unknown_verb_is_reported_with_a_similar_one(
     assert capsys.readouterr().err == f"understudy: {message}\n"
 
 
-def test_the_version_is_printed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    assert _run(monkeypatch, "--version") == 0
+@pytest.mark.parametrize(
+    "typed",
+    [
+        ["-n", "fleet", "status", "robot-1"],
+        ["--namespace=fleet", "status", "robot-1"],
+        ["status", "-n", "fleet", "robot-1"],
+        ["-nfleet", "status", "robot-1"],
+    ],
+)
+def test_options_may_be_in_front_of_the_verb(typed: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    parsed: list[argparse.Namespace] = []
+
+    def run(arguments: list[str]) -> int:
+        parser = argparse.ArgumentParser()
+        kubectl.add_robots(parser)
+        kubectl.add_options(parser)
+        parsed.append(parser.parse_args(arguments))
+        return 0
+
+    monkeypatch.setattr(command, "import_frozen", lambda module: SimpleNamespace(main=run))
+    assert _run(monkeypatch, *typed) == 0
+    assert [(one.namespace, one.names) for one in parsed] == [("fleet", ["robot-1"])]
+
+
+def test_options_without_a_verb_are_an_error_with_the_help_text(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert _run(monkeypatch, "-n", "fleet") == 2
+    assert "usage: understudy VERB" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("asked", ["--version", "version"])
+def test_the_version_is_printed(
+    asked: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert _run(monkeypatch, asked) == 0
     assert capsys.readouterr().out == f"understudy {__version__}\n"
 
 

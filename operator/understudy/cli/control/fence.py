@@ -8,7 +8,7 @@ import sys
 from understudy.api import names
 from understudy.api.kinds.pause_spec import FENCE, Pause
 from understudy.cli.common import confirmation
-from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options
+from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options, add_robot
 from understudy.cli.common.errors import CommandError, reports_errors
 from understudy.cli.common.text import terminal
 from understudy.cli.common.text.wording import wrapped
@@ -100,7 +100,7 @@ def _parser() -> argparse.ArgumentParser:
         "resume. This is not an emergency stop: what the robot does without commands is up to the robot.",
         epilog="Exit status: 0 if the gate is closed, 2 on an error.",
     )
-    parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
+    add_robot(parser)
     signature.add_options(parser, reason="why the workload is fenced, for other users")
     confirmation.add_option(parser)
     add_options(parser)

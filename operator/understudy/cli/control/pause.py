@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from understudy.api.base import DURATION_MESSAGE, seconds
 from understudy.api.kinds.pause_spec import Pause
 from understudy.api.moments import MOMENT_MESSAGE, MOMENT_PATTERN, unix
-from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options
+from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options, add_robot
 from understudy.cli.common.errors import CommandError, reports_errors
 from understudy.cli.control import signature
 
@@ -57,7 +57,7 @@ def _parser() -> argparse.ArgumentParser:
         "no recovery, no planned switchover and no safe command. A recovery that is under way is completed first.",
         epilog="Exit status: 0 if it is paused now, 2 on an error.",
     )
-    parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
+    add_robot(parser)
     signature.add_options(parser, reason="why the workload is paused, for other users")
     end = parser.add_mutually_exclusive_group()
     end.add_argument("--until", metavar="TIME", help="time at which the pause ends, such as 2026-11-22T18:00:00Z")

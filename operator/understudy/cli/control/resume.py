@@ -8,7 +8,7 @@ import time
 
 from understudy.api import names
 from understudy.api.plain_text import plain
-from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options
+from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options, add_robot
 from understudy.cli.common.errors import CommandError, reports_errors
 from understudy.cli.control import signature
 from understudy.failover.progress import rfc3339
@@ -61,7 +61,7 @@ def _parser() -> argparse.ArgumentParser:
         "(limits.budget), so that a recovery that a limit deferred starts at once.",
         epilog="Exit status: 0 if it was resumed, 2 on an error.",
     )
-    parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
+    add_robot(parser)
     signature.add_options(parser, reason="what was found or done, for the record", required=False)
     add_options(parser)
     return parser

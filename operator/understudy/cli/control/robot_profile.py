@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from understudy.api import names
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.output_formats import structured
-from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options
+from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options, add_robot
 from understudy.cli.common.errors import CommandError, reports_errors
 from understudy.cli.control.mux_files import MuxFiles
 from understudy.cli.control.profile_files import ENV_FILE, PROFILES_FILE, Profile, RobotFiles
@@ -88,7 +88,7 @@ def _parser() -> argparse.ArgumentParser:
         "Also prints where to put the two files, and what else the robot needs. It changes nothing.",
         epilog="Exit status: 0 on success, 2 on an error, for example if the files do not exist yet.",
     )
-    parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
+    add_robot(parser)
     how = parser.add_mutually_exclusive_group()
     how.add_argument(
         "-o",

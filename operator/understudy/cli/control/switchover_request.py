@@ -13,7 +13,7 @@ from understudy.api.kinds.robot_workload import Recovery, RobotWorkloadStatus
 from understudy.api.kinds.switchover_spec import ENDED, SwitchoverStatus, Verb, request
 from understudy.api.plain_text import plain
 from understudy.cli.common import option_rules
-from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options
+from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options, add_robot
 from understudy.cli.common.errors import CommandError
 from understudy.cli.common.robots import UNWATCHED, robot, status_of
 from understudy.cli.common.text import terminal
@@ -134,7 +134,7 @@ def _parser(verb: Verb) -> argparse.ArgumentParser:
         epilog="Exit status: 0 if the switchover succeeded, 1 if it failed and the former instance keeps control, "
         "2 if the command did not see the end, or on another error.",
     )
-    parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
+    add_robot(parser)
     parser.add_argument(
         "--within",
         metavar="DURATION",

@@ -14,7 +14,7 @@ from understudy import __version__
 from understudy.api.output_formats import structured
 from understudy.api.plain_text import plain
 from understudy.cli.common import option_rules
-from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options
+from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options, add_robots
 from understudy.cli.common.cluster_access.kubectl_proxy import Api, Refused, proxied
 from understudy.cli.common.errors import ERROR, CommandError, reports_errors
 from understudy.cli.common.text import terminal
@@ -199,7 +199,7 @@ def _parser() -> argparse.ArgumentParser:
         "robots have a mux, a gate for the test, which send nothing to a robot, and deletes them at the end.",
         epilog="Exit status: 0 if nothing failed (warnings are reported), 1 if something failed, 2 if this cannot be determined.",
     )
-    parser.add_argument("names", metavar="NAME", nargs="*", help="a RobotWorkload (default: all)")
+    add_robots(parser)
     parser.add_argument(
         "--no-pods",
         action="store_true",

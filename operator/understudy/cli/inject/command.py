@@ -9,7 +9,7 @@ from typing import Any
 from understudy.api import names
 from understudy.api.base import DURATION_MESSAGE, seconds
 from understudy.cli.common import confirmation, option_rules
-from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options
+from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options, add_robot
 from understudy.cli.common.errors import CommandError, reports_errors
 from understudy.cli.common.robots import status_of
 from understudy.cli.inject import fault_commands, partition
@@ -125,7 +125,7 @@ def _parser() -> argparse.ArgumentParser:
         f"label {ALLOWED}=true allows it.",
         epilog="Exit status: 0 if the fault was injected, 2 if it was not.",
     )
-    parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
+    add_robot(parser)
     parser.add_argument(
         "fault",
         choices=FAULTS,

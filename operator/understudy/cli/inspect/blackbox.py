@@ -17,7 +17,7 @@ from understudy.api.kinds.recording_spec import Recording, Recordings
 from understudy.api.output_formats import structured
 from understudy.api.plain_text import plain
 from understudy.cli.common import option_rules
-from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options
+from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options, add_robot
 from understudy.cli.common.errors import ERROR, CommandError, reports_errors
 from understudy.cli.common.text import terminal
 from understudy.cli.common.text.text_tables import format_texts
@@ -171,7 +171,7 @@ def _parser() -> argparse.ArgumentParser:
         "kubectl and the permission to forward ports to pods.",
         epilog="Exit status: 0 if there are recordings, or the recording was fetched, 1 if there are none, 2 on an error.",
     )
-    parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
+    add_robot(parser)
     parser.add_argument(
         "--fetch",
         metavar="ID",

@@ -13,7 +13,7 @@ from typing import TextIO
 
 from understudy.api import names
 from understudy.api.output_formats import structured
-from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options
+from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options, add_robots
 from understudy.cli.common.errors import ERROR, CommandError, Forbidden, reports_errors
 from understudy.cli.common.robots import Pool, Robot, pool, robot
 from understudy.cli.common.text import terminal
@@ -234,7 +234,7 @@ def _parser() -> argparse.ArgumentParser:
         epilog="Exit status: 0 if every robot shown is protected (the monitor watches it, and the first strategy of its policy could run "
         "now) and healthy (or degraded), 1 if one is not, 2 on an error or if there is none.",
     )
-    parser.add_argument("names", metavar="NAME", nargs="*", help="a RobotWorkload (default: all)")
+    add_robots(parser)
     parser.add_argument("-w", "--watch", action="store_true", help="keep updating until Ctrl-C")
     parser.add_argument(
         "-o",

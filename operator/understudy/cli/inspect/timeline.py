@@ -8,7 +8,7 @@ import time
 
 from understudy.api.output_formats import structured
 from understudy.cli.common import option_rules
-from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options
+from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options, add_robot
 from understudy.cli.common.errors import reports_errors
 from understudy.cli.common.robots import status_of
 from understudy.cli.common.text import recovery_text, terminal
@@ -57,7 +57,7 @@ def _parser() -> argparse.ArgumentParser:
         "detail, with the parts of their time drawn to scale, the time of each step, the restored state and failed attempts.",
         epilog="Exit status: 0 if they were shown, 2 if they could not be read.",
     )
-    parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
+    add_robot(parser)
     parser.add_argument(
         "--last", metavar="N", type=option_rules.whole(1), help=f"how many are shown in detail (default: {EACH})"
     )

@@ -12,7 +12,7 @@ from typing import Any
 
 from understudy.api import names
 from understudy.api.output_formats import structured
-from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options
+from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options, add_robot
 from understudy.cli.common.errors import CommandError, reports_errors
 from understudy.cli.common.option_rules import add_output
 from understudy.cli.common.text import terminal
@@ -147,7 +147,7 @@ def _parser() -> argparse.ArgumentParser:
         "to forward ports to pods. It changes nothing.",
         epilog="Exit status: 0 if the workload is healthy, 1 if it is not, 2 if this cannot be determined.",
     )
-    parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
+    add_robot(parser)
     how = parser.add_mutually_exclusive_group()
     how.add_argument("-w", "--watch", action="store_true", help="keep updating until Ctrl-C")
     add_output(how)

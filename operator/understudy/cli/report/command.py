@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from understudy.api import base, names
-from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options
+from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options, add_robots
 from understudy.cli.common.errors import CommandError, reports_errors
 from understudy.cli.common.text.wording import clock, counted, moment
 from understudy.cli.report.csv_sheets import sheets
@@ -131,7 +131,7 @@ def _parser() -> argparse.ArgumentParser:
         "which time they are incomplete. The command changes nothing in the cluster.",
         epilog="Exit status: 0 if the report was written, 2 if not: kubectl failed, a name does not exist, or there is no robot.",
     )
-    parser.add_argument("names", metavar="NAME", nargs="*", help="a RobotWorkload (default: all)")
+    add_robots(parser)
     begin = parser.add_mutually_exclusive_group()
     begin.add_argument(
         "--since",

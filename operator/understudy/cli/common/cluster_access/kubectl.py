@@ -27,6 +27,9 @@ PATIENCE = 1.0
 
 WORKLOADS = "robotworkloads.understudy.dev"
 
+_KIND = ("rw", "robotworkload", "robotworkloads", WORKLOADS)
+"""How a user may write the kind in front of a name."""
+
 _CREDENTIALS = "getting credentials: "
 """Part of kubectl's message if the kubeconfig's credential plugin failed. A plugin that asks questions needs a terminal."""
 
@@ -52,6 +55,26 @@ _NO_CREDENTIALS = "the kubeconfig has no credentials for this cluster, and kubec
 """The meaning of kubectl's message ``EOF``: it asked a question on standard input, which is closed."""
 
 _FORWARDING = re.compile(r"Forwarding from 127\.0\.0\.1:(\d+) ")
+
+
+def add_robot(parser: argparse.ArgumentParser) -> None:
+    """Add the name of a RobotWorkload."""
+    parser.add_argument("name", metavar="NAME", type=_robot, help="the RobotWorkload, such as robot-1 or rw/robot-1")
+
+
+def add_robots(parser: argparse.ArgumentParser) -> None:
+    """Add the names of any number of RobotWorkloads."""
+    parser.add_argument("names", metavar="NAME", type=_robot, nargs="*", help="a RobotWorkload (default: all)")
+
+
+def _robot(text: str) -> str:
+    """Return the name of a RobotWorkload, given with its kind or without, as for kubectl."""
+    kind, _, name = text.rpartition("/")
+    if kind.lower() not in ("", *_KIND):
+        raise argparse.ArgumentTypeError(
+            f"{kind!r} is not the kind RobotWorkload; give a name, such as robot-1 or rw/robot-1"
+        )
+    return name
 
 
 def add_options(parser: argparse.ArgumentParser, *, all_namespaces: bool = False) -> None:
