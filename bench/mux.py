@@ -47,7 +47,7 @@ SILENCE = 0.1
 RESTARTS_WITHIN = 10.0
 """Seconds within which a mux that crashed must forward again."""
 
-MORE_THAN_RELAY = 1.2
+MORE_THAN_RELAY = 1.5
 """How much processor time the mux may take, as a multiple of that of the relay."""
 
 SERVER = "BENCH_DISCOVERY_SERVER"
