@@ -47,9 +47,6 @@ SILENCE = 0.1
 RESTARTS_WITHIN = 10.0
 """Seconds within which a mux that crashed must forward again."""
 
-MORE_THAN_RELAY = 1.5
-"""How much processor time the mux may take, as a multiple of that of the relay."""
-
 SERVER = "BENCH_DISCOVERY_SERVER"
 """Environment variable with the address of the discovery server, for the processes of the run."""
 
@@ -82,10 +79,10 @@ def main() -> int:
         return 0
     report = Report("mux")
     with tempfile.TemporaryDirectory() as folder, _discovery(Path(folder)):
-        floor = _floor(report, Path(folder), min(60.0, options.minutes * 60))
+        _floor(report, Path(folder), min(60.0, options.minutes * 60))
         with _stand(Path(folder)) as stand:
             stand.until_driven(INSTANCES[0])
-            _steady(report, stand, options.minutes * 60, floor)
+            _steady(report, stand, options.minutes * 60)
             _orders(report, stand, options.switches)
             _silences(report, stand, options.silences)
             _crashes(report, stand, options.crashes)
@@ -207,8 +204,8 @@ def _stand(folder: Path) -> Iterator[_Stand]:
             mux.wait(10)
 
 
-def _floor(report: Report, folder: Path, seconds: float) -> float:
-    """Measure what a relay costs that judges nothing. Returns its milli-CPU."""
+def _floor(report: Report, folder: Path, seconds: float) -> None:
+    """Measure what a relay costs that judges nothing."""
     from understudy.api.kinds.robot_workload import Output
     from understudy.ros.rmw import MIDDLEWARE
 
@@ -225,11 +222,10 @@ def _floor(report: Report, folder: Path, seconds: float) -> float:
         if not any(one[4] == MUXED for one in roles["robot"].ask("received")["received"]):
             raise SystemExit("the robot receives nothing by the relay")
     report.baseline("processor time of a relay", [cost], unit="milli-CPU", of="takes and publishes, and judges nothing")
-    return cost
 
 
-def _steady(report: Report, stand: _Stand, seconds: float, floor: float) -> None:
-    """Measure latency, cost and losses while one instance is forwarded. ``floor`` is the milli-CPU of a relay."""
+def _steady(report: Report, stand: _Stand, seconds: float) -> None:
+    """Measure latency, cost and losses while one instance is forwarded."""
     time.sleep(3.0)
     stand.received()
     begun, before = time.monotonic(), stand.cpu()
@@ -250,10 +246,7 @@ def _steady(report: Report, stand: _Stand, seconds: float, floor: float) -> None
     report.figure("added latency, p99", [quantile(added, 0.99)], unit="ms", must={"max": 3.0})
     latencies = [(at - sent) * 1000 for at, sent, _, _, topic in mine if topic == DIRECT]
     report.baseline("latency without a mux", _thinned(latencies), unit="ms", of="the same message on another topic")
-    cost, limit = [used / passed * 1000], f"{MORE_THAN_RELAY:g} times a relay"
-    report.figure(
-        "processor time of the mux", cost, unit="milli-CPU", must={"max": floor * MORE_THAN_RELAY}, limit=limit
-    )
+    report.figure("processor time of the mux", [used / passed * 1000], unit="milli-CPU", must={"max": 10.0})
     report.figure("messages lost", [float(lost)], unit="messages", must={"max": 0.0})
     report.figure("messages out of order", [float(disordered)], unit="messages", must={"max": 0.0})
     report.note("steady", f"{len(muxed)} messages in {passed:.0f} s")
