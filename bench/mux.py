@@ -32,7 +32,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.results import Report, quantile
-from bench.roles import Role, answering, end_with_parent, environment, running, tell
+from bench.roles import Role, answering, cpu_seconds, end_with_parent, environment, running, tell
 from understudy.process.restarts import STEADY
 
 MUXED, DIRECT, TYPE = "/cmd_vel", "/cmd_vel_direct", "geometry_msgs/msg/TwistStamped"
@@ -138,17 +138,11 @@ class _Stand:
 
     def cpu(self) -> float:
         """Return the CPU seconds of the mux so far."""
-        return _cpu(self._mux.pid) + _cpu(self.forwarder())
+        return cpu_seconds(self._mux.pid) + cpu_seconds(self.forwarder())
 
     def forwarder(self) -> int:
         """Return the process that forwards: another one starts it again when it crashes."""
         return int(Path(f"/proc/{self._mux.pid}/task/{self._mux.pid}/children").read_text())
-
-
-def _cpu(pid: int) -> float:
-    """Return the CPU seconds of a process so far."""
-    tasks = Path(f"/proc/{pid}/task").iterdir()
-    return sum(int((task / "schedstat").read_text().split()[0]) for task in tasks) * 1e-9
 
 
 @contextmanager
@@ -216,9 +210,9 @@ def _floor(report: Report, folder: Path, seconds: float) -> None:
         time.sleep(5.0)
         roles["robot"].ask("received")
         print(f"a relay in place of the mux, for {seconds:.0f} s", flush=True)
-        begun, before = time.monotonic(), _cpu(roles[RELAY].pid)
+        begun, before = time.monotonic(), roles[RELAY].cpu()
         time.sleep(seconds)
-        cost = (_cpu(roles[RELAY].pid) - before) / (time.monotonic() - begun) * 1000
+        cost = (roles[RELAY].cpu() - before) / (time.monotonic() - begun) * 1000
         if not any(one[4] == MUXED for one in roles["robot"].ask("received")["received"]):
             raise SystemExit("the robot receives nothing by the relay")
     report.baseline("processor time of a relay", [cost], unit="milli-CPU", of="takes and publishes, and judges nothing")

@@ -46,6 +46,12 @@ def gate_ports(file: Path, outputs: Iterable[Mapping[str, str]]) -> dict[str, st
     return {"FASTRTPS_DEFAULT_PROFILES_FILE": str(file)}
 
 
+def cpu_seconds(pid: int) -> float:
+    """Return the CPU seconds of all running threads of a process so far. No thread ends during a measurement."""
+    tasks = Path(f"/proc/{pid}/task")
+    return sum(int((task / "schedstat").read_text().split()[0]) for task in tasks.iterdir()) * 1e-9
+
+
 # -- from outside ------------------------------------------------------------------------------------------------------
 
 
@@ -91,9 +97,8 @@ class Role:
         return self._next(self._answers, 20)
 
     def cpu(self) -> float:
-        """Return the CPU seconds of all running threads so far. No thread ends during a measurement."""
-        tasks = Path(f"/proc/{self.pid}/task")
-        return sum(int((task / "schedstat").read_text().split()[0]) for task in tasks.iterdir()) * 1e-9
+        """Return its CPU seconds so far."""
+        return cpu_seconds(self.pid)
 
     def rss(self) -> float:
         """Return the resident memory in MB."""
