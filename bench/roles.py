@@ -46,10 +46,10 @@ def gate_ports(file: Path, outputs: Iterable[Mapping[str, str]]) -> dict[str, st
     return {"FASTRTPS_DEFAULT_PROFILES_FILE": str(file)}
 
 
-def cpu_seconds(pid: int) -> float:
-    """Return the CPU seconds of all running threads of a process so far. No thread ends during a measurement."""
-    tasks = Path(f"/proc/{pid}/task")
-    return sum(int((task / "schedstat").read_text().split()[0]) for task in tasks.iterdir()) * 1e-9
+def cpu_seconds(pid: int, threads: str = "") -> float:
+    """Return the CPU seconds of the running threads of a process so far: of those whose name begins so. None ends during a measurement."""
+    tasks = [task for task in Path(f"/proc/{pid}/task").iterdir() if (task / "comm").read_text().startswith(threads)]
+    return sum(int((task / "schedstat").read_text().split()[0]) for task in tasks) * 1e-9
 
 
 # -- from outside ------------------------------------------------------------------------------------------------------
@@ -96,9 +96,9 @@ class Role:
         self._process.stdin.flush()
         return self._next(self._answers, 20)
 
-    def cpu(self) -> float:
-        """Return its CPU seconds so far."""
-        return cpu_seconds(self.pid)
+    def cpu(self, threads: str = "") -> float:
+        """Return its CPU seconds so far, of the threads whose name begins so."""
+        return cpu_seconds(self.pid, threads)
 
     def rss(self) -> float:
         """Return the resident memory in MB."""
