@@ -46,8 +46,13 @@ def mkdocs(pages: Path, command: list[str]) -> int:
     """Run MkDocs on the copied pages, and return its exit status."""
     return subprocess.run(
         [sys.executable, "-m", "mkdocs", *command, "--strict", "--config-file", str(REPOSITORY / "mkdocs.yml")],
-        # The theme warns of a successor of MkDocs, which is not used here.
-        env={**os.environ, "PAGES": str(pages), "NO_MKDOCS_2_WARNING": "1"},
+        # The theme warns of a successor of MkDocs, which is not used here. MkDocs refuses to edit pages of no repository.
+        env={
+            **os.environ,
+            "PAGES": str(pages),
+            "EDIT_URI": "edit/main/" if os.environ.get("REPOSITORY_URL") else "",
+            "NO_MKDOCS_2_WARNING": "1",
+        },
     ).returncode
 
 

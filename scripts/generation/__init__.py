@@ -18,6 +18,7 @@ SCENARIOS = Path("docs/trees-osc.md")
 PROCEDURES = Path("docs/procedures.md")
 LIMITS = Path("docs/limits.md")
 TREES = Path("docs/trees.md")
+README = Path("README.md")
 NETWORKS = Path("docs/how-to/network-policies.md")
 LIBRARY = Path("operator/understudy/trees/languages/osc/lib_osc/understudy.osc")
 
@@ -70,6 +71,7 @@ def outputs(root: Path) -> dict[Path, str]:
     )
     results = root / "bench" / "results"
     for page, parts in {
+        README: ((networks.summary(results), networks.SUMMARY_BEGIN, networks.SUMMARY_END),),
         NETWORKS: (
             (networks.table(results), networks.BEGIN, networks.END),
             (networks.handovers(results), networks.HANDOVERS_BEGIN, networks.HANDOVERS_END),

@@ -1,8 +1,9 @@
-"""Builds the tables of measured networks and handovers in ``docs/how-to/network-policies.md`` from ``bench/results``."""
+"""Builds the tables of networks and handovers in ``docs/how-to/network-policies.md`` and ``README.md`` from ``bench/results``."""
 
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,40 @@ END = "<!-- end of networks -->"
 HANDOVERS_BEGIN = "<!-- handovers: written by scripts/generate from bench/results -->"
 HANDOVERS_END = "<!-- end of handovers -->"
 
-_NETWORKS = {"": "the local provider's own", "-cilium": "Cilium 1.18.4"}
-"""Endings of the names of the results, and what enforced the policies."""
+SUMMARY_BEGIN = "<!-- compatibility: written by scripts/generate from bench/results -->"
+SUMMARY_END = "<!-- end of compatibility -->"
+
+
+@dataclass(frozen=True)
+class _Network:
+    """What enforces NetworkPolicies, and what is known about it beside its figures, as Markdown."""
+
+    name: str
+    flows: str
+    """What happens to established flows after a change."""
+    gate: str
+    """Whether NetworkPolicies can be the gate."""
+    mux: str = "yes"
+    ending: str | None = None
+    """Ending of the names of its results; None if there are none."""
+
+
+_ROOM = "docs/how-to/network-policies.md#cilium"
+
+_NETWORKS = (
+    _Network("the local provider's own", "end", "yes", ending=""),
+    _Network(
+        "Cilium 1.18.4",
+        "end",
+        f"yes, with up to about 260 pods among the peers of a workload; more [need a setting]({_ROOM})",
+        ending="-cilium",
+    ),
+    _Network("kind's own", "not known", "not tried yet", "not tried yet"),
+    _Network("kube-router, kube-network-policies", "live on", "no"),
+    _Network("one that enforces nothing", "", "no"),
+)
+
+_MEASURED = {network.ending: network.name for network in _NETWORKS if network.ending is not None}
 
 _COLUMNS = {
     "switch": ("recovery", "executing: decision to gate enforced"),
@@ -26,10 +59,22 @@ _COLUMNS = {
 _HANDOVERS = ("Switch", "BreakBeforeMake")
 
 
+def summary(results: Path) -> str:
+    """Return what is known of each network, with p50 and p95 of a switch in ms, as Markdown."""
+    columns = ("network", "established flows", "switch, p50 / p95", "NetworkPolicies as the gate")
+    lines = [f"| {' | '.join(columns)} | [mux](docs/mux.md) as the gate |", "| --- | --- | --- | --- | --- |"]
+    bench, figure = _COLUMNS["switch"]
+    for one in _NETWORKS:
+        found = _read(results / f"{bench}{one.ending}.json") if one.ending is not None else {}
+        switch = _cell(found, figure, of=("p50", "p95"))
+        lines.append(f"| {one.name} | {one.flows} | {switch and f'{switch} ms'} | {one.gate} | {one.mux} |")
+    return "\n".join(lines)
+
+
 def table(results: Path) -> str:
     """Return p50, p95 and maximum of each figure in ms, by network, as Markdown."""
     lines = [f"| network | {' | '.join(_COLUMNS)} | measured |", f"| --- |{' --- |' * (len(_COLUMNS) + 1)}"]
-    for ending, network in _NETWORKS.items():
+    for ending, network in _MEASURED.items():
         found = {bench: _read(results / f"{bench}{ending}.json") for bench in ("recovery", "reflex")}
         if any(found.values()):
             cells = [_cell(found[bench], figure) for bench, figure in _COLUMNS.values()]
@@ -41,7 +86,7 @@ def table(results: Path) -> str:
 def handovers(results: Path) -> str:
     """Return p50, p95 and maximum of both ways of a handover in ms, by network, as Markdown."""
     lines = ["| network | `handover` | no command | both open | measured |", f"|{' --- |' * 5}"]
-    for ending, network in _NETWORKS.items():
+    for ending, network in _MEASURED.items():
         found = _read(results / f"handover{ending}.json")
         for handover in _HANDOVERS:
             gap, both = (_cell(found, f"{handover}: {name}", digits=1) for name in ("gap", "both open"))
@@ -58,6 +103,6 @@ def _read(file: Path) -> Any:
     return json.loads(file.read_text()) if file.is_file() else {}
 
 
-def _cell(result: Any, figure: str, digits: int = 0) -> str:
+def _cell(result: Any, figure: str, digits: int = 0, of: tuple[str, ...] = ("p50", "p95", "max")) -> str:
     found = (result.get("figures") or {}).get(figure)
-    return " / ".join(f"{found[key]:.{digits}f}" for key in ("p50", "p95", "max")) if found else ""
+    return " / ".join(f"{found[key]:.{digits}f}" for key in of) if found else ""

@@ -85,13 +85,22 @@ def test_the_commands_of_the_test_cluster_are_accepted_by_its_parser(workflow: P
         cli.parser().parse_args(words[1:])
 
 
+def suites() -> list[str]:
+    """The suites of scripts/test."""
+    found = re.search(r"^(lint \| .*)\)$", (REPOSITORY / "scripts" / "test").read_text(), re.MULTILINE)
+    assert found
+    return found[1].split(" | ")
+
+
+def test_the_suites_of_the_checks_exist() -> None:
+    [job] = yaml.safe_load((REPOSITORY / ".github" / "workflows" / "checks.yaml").read_text())["jobs"].values()
+    assert set(job["strategy"]["matrix"]["suite"]) <= set(suites())
+
+
 def test_the_suite_and_the_options_of_the_kind_workflow_exist() -> None:
-    script = (REPOSITORY / "scripts" / "test").read_text()
-    suites = re.search(r"^(lint \| .*)\)$", script, re.MULTILINE)
     markers = re.findall(r'^  "(\w+): ', (REPOSITORY / "pyproject.toml").read_text(), re.MULTILINE)
-    assert suites
     [(_, suite, *arguments)] = commands(REPOSITORY / ".github" / "workflows" / "kind.yaml", "scripts/test")
-    assert suite in suites[1].split(" | ")
+    assert suite in suites()
     options = dict(zip(arguments[::2], arguments[1::2], strict=True))
     assert options.pop("--cluster") in options_of_pytest()["--cluster"]
     assert options.pop("-m").removeprefix("not ") in markers
@@ -119,6 +128,7 @@ def test_the_kind_workflow_runs_the_end_to_end_tests_on_the_provider_kind(tmp_pa
         assert run.endswith(" --cluster kind -m not long")
 
 
-def test_the_kind_workflow_says_that_it_was_not_run() -> None:
-    [comment, *_] = (REPOSITORY / ".github" / "workflows" / "kind.yaml").read_text().split("\nname:")
+@pytest.mark.parametrize("workflow", WORKFLOWS, ids=lambda path: path.name)
+def test_every_workflow_says_that_it_was_not_run(workflow: Path) -> None:
+    [comment, *_] = workflow.read_text().split("\nname:")
     assert "has not been run by the authors" in comment
