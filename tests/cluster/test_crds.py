@@ -276,6 +276,7 @@ def test_printed_columns(cluster: Cluster, make) -> None:
                 "strategy": "Executing",
                 "strategies": "Executing (hot), Restart",
                 "recoveryCount": 3,
+                "conditions": [_condition("Protected", "True")],
                 "lastRecoveryTime": workload["metadata"]["creationTimestamp"],
                 "situation": {"name": "carrying", "since": workload["metadata"]["creationTimestamp"]},
                 "kept": "/amcl_pose, /map",
@@ -295,9 +296,9 @@ def test_printed_columns(cluster: Cluster, make) -> None:
     cluster.patch(pool, {"status": {"desired": 2, "ready": 1, "claimed": 0}}, subresource="status")
 
     rows = _table(cluster.kubectl("get", "rw", "--namespace", namespace))
-    assert rows[0] == ["NAME", "ACTIVE", "HEALTH", "STANDBY", "STRATEGY", "RECOVERIES", "LAST", "AGE"]
-    assert rows[1][:6] == ["robot-17", "robot-17-7k2xq", "Healthy", "Executing (1/1)", "Executing", "3"]
-    assert rows[1][6].endswith("s")
+    assert rows[0] == ["NAME", "ACTIVE", "HEALTH", "PROTECTED", "STANDBY", "STRATEGY", "RECOVERIES", "LAST", "AGE"]
+    assert rows[1][:7] == ["robot-17", "robot-17-7k2xq", "Healthy", "True", "Executing (1/1)", "Executing", "3"]
+    assert rows[1][7].endswith("s")
     wide = dict(zip(*_table(cluster.kubectl("get", "rw", "--namespace", namespace, "-o", "wide"))[:2], strict=True))
     assert wide["ORDER"] == "Executing (hot), Restart"
     assert wide["SITUATION"] == "carrying"

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -13,6 +13,9 @@ from understudy.api.plain_text import one_line
 
 MESSAGE_MOST = 32768
 """Longest message of a condition, in characters."""
+
+READY = "Ready"
+"""The condition that tools for all kinds wait for."""
 
 Status = Literal["True", "False", "Unknown"]
 
@@ -50,7 +53,7 @@ def now() -> str:
 
 
 def condition(
-    type_: str, status: Status | bool, reason: str, message: str = "", *, generation: int | None = None
+    type_: str, status: Status | bool, reason: str, message: str, *, generation: int | None = None
 ) -> Condition:
     """Return a condition that begins now. :func:`merged` keeps an older transition time if the status did not change.
 
@@ -66,6 +69,19 @@ def condition(
         last_transition_time=now(),
         observed_generation=generation,
     )
+
+
+def summary(conditions: Iterable[Condition], types: Sequence[str]) -> Condition:
+    """Return the condition Ready, which kstatus reads: it repeats the first of these types that is not True, or the last."""
+    found = {one.type: one for one in conditions}
+    shown = next((found[type_] for type_ in types if found[type_].status != "True"), found[types[-1]])
+    return shown.model_copy(update={"type": READY, "status": "True" if shown.status == "True" else "False"})
+
+
+def is_summary(one: Mapping[str, Any], conditions: Iterable[Mapping[str, Any]]) -> bool:
+    """Whether a condition (as in the API) is Ready and repeats another one, which is reported by itself."""
+    others = ((other["reason"], other.get("message")) for other in conditions if other["type"] != READY)
+    return one["type"] == READY and (one["reason"], one.get("message")) in others
 
 
 def merged(old: Iterable[Condition], new: Iterable[Condition]) -> list[Condition]:

@@ -162,7 +162,7 @@ def test_wide_columns_show_the_strategies_the_situation_the_gate_and_kept_state(
 @pytest.mark.parametrize(
     ("kind", "short", "columns"),
     [
-        ("RobotWorkload", "rw", ["Active", "Health", "Standby", "Strategy", "Recoveries", "Last", "Age"]),
+        ("RobotWorkload", "rw", ["Active", "Health", "Protected", "Standby", "Strategy", "Recoveries", "Last", "Age"]),
         ("FailurePolicy", "fp", ["Accepted", "Workloads", "Strategies", "Age"]),
         ("FallbackPool", "fbp", ["Readiness", "Desired", "Ready", "Claimed", "Age"]),
     ],

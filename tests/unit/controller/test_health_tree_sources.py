@@ -72,7 +72,7 @@ def test_the_last_valid_tree_stays_in_force_if_the_present_one_is_missing_or_inv
 ) -> None:
     fresh = status(referring(), maps)
     assert "tree" not in fresh
-    (accepted,) = fresh["conditions"]
+    _, accepted = fresh["conditions"]
     assert (accepted["status"], accepted["reason"]) == ("False", reason)
     assert words in accepted["message"]
     before = status(referring(), trees(health_yaml=GOOD))
@@ -136,6 +136,6 @@ def test_only_labelled_config_maps_are_stored() -> None:
 )
 def test_a_tree_with_a_hostile_value_is_reported_on_the_policy(text: str) -> None:
     """The reconcile of such a policy raised an error and was repeated for ever."""
-    (accepted,) = status(referring(), trees(health_yaml=text))["conditions"]
+    _, accepted = status(referring(), trees(health_yaml=text))["conditions"]
     assert (accepted["status"], accepted["reason"]) == ("False", "TreeInvalid")
     assert accepted["message"].startswith("ConfigMap trees, health.yaml, line 1, column ")

@@ -49,6 +49,6 @@ async def test_known_status_fields_are_written_and_missing_ones_are_logged_once(
     )  # fmt: skip
     for _ in range(2):
         await reconciler.reconcile(Key("failurepolicies", item["metadata"]["namespace"], "policy"))
-    assert [one["type"] for one in client.statuses[-1]["conditions"]] == ["Accepted"]
+    assert [one["type"] for one in client.statuses[-1]["conditions"]] == ["Ready", "Accepted"]
     (warning,) = (record.message for record in caplog.records if "is older than this operator" in record.message)
     assert "lacks .status.observedGeneration" in warning

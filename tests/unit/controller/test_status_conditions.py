@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from tests.unit.controller.world import World, policy, workload
 from understudy.controller.plan import Problem
-from understudy.controller.status import workload_status
+from understudy.controller.status import policy_status, workload_status
 from understudy.kube.client import Object
 
 
@@ -26,6 +26,38 @@ def test_a_condition_keeps_its_time_until_its_status_changes() -> None:
     second = {c["type"]: c for c in workload_status.timed(found.workload, found.status())["conditions"]}
     assert second["Accepted"]["lastTransitionTime"] == "2020-01-01T00:00:00Z"
     assert second["Protected"]["lastTransitionTime"] != "2020-01-01T00:00:00Z"
+
+
+def test_a_workload_is_ready_if_it_is_accepted_built_and_protected() -> None:
+    found = World(workload(), policy("Restart"))
+    found.build()
+    ready, protected = found.condition("Ready"), found.condition("Protected")
+    assert (ready["status"], ready["reason"]) == ("True", protected["reason"]) == ("True", "FirstStrategyReady")
+    found.monitors = []
+    ready, protected = found.condition("Ready"), found.condition("Protected")
+    assert (ready["status"], ready["reason"], ready["message"]) == ("False", "MonitorNotReady", protected["message"])
+    taken = Problem("NameTaken", 'NetworkPolicy "w-gate" exists')
+    assert found.condition("Ready", taken)["reason"] == "NameTaken", "the first reason, and not what follows from it"
+
+
+def test_every_condition_has_a_message() -> None:
+    found = World(workload(), policy("Restart"))
+    assert all(one["message"] for one in found.status()["conditions"])
+    found.build()
+    assert all(one["message"] for one in found.status()["conditions"])
+
+
+def test_a_policy_is_ready_if_it_is_accepted() -> None:
+    for item in (policy("Restart"), policy()):
+        accepted, ready = (
+            next(
+                one
+                for one in policy_status.status(item, pools={}, config_maps={}, users=[])["conditions"]
+                if one["type"] == type_
+            )
+            for type_ in ("Accepted", "Ready")
+        )
+        assert {**ready, "type": "Accepted"} == accepted
 
 
 class TestTransitions:
@@ -54,6 +86,11 @@ class TestTransitions:
 
     def test_a_dry_pool_causes_no_event_because_the_waiting_workloads_report_it(self) -> None:
         assert self.event_count([("Available", "True", "Available")], ("Available", "False", "Dry")) == 0
+
+    def test_ready_causes_no_event_because_it_repeats_another_condition(self) -> None:
+        lost = {"status": "False", "reason": "PoolEmpty", "message": "none"}
+        desired = {"conditions": [{"type": "Ready", **lost}, {"type": "Protected", **lost}]}
+        assert [one["type"] for one in workload_status.transitions({}, desired)] == ["Protected"]
 
     def test_invalid_input_causes_an_event_at_once(self) -> None:
         assert self.event_count([], ("Accepted", "False", "PolicyNotFound")) == 1

@@ -205,6 +205,6 @@ async def test_costly_policies_are_judged_without_a_check_on_the_operators_loop(
     running.cancel()
     await asyncio.gather(running, return_exceptions=True)
     for status in statuses.values():
-        (accepted,) = status["conditions"]
+        _, accepted = status["conditions"]
         assert (accepted["status"], accepted["reason"]) == ("False", "TreeInvalid")
         assert "the tree has more than 512 nodes" in accepted["message"]

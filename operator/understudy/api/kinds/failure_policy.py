@@ -422,7 +422,7 @@ class FailurePolicyStatus(Model):
     tree: TreeInForce | None = None
     """The health tree in effect, if spec.monitoring refers to a ConfigMap."""
     conditions: Conditions | None = None
-    """Accepted: the tree and the strategies are valid. Storm (if limits.stormGuard is set): so many of the policy's
+    """Ready and Accepted: the tree and the strategies are valid. Storm (if limits.stormGuard is set): so many of the policy's
     workloads fail at once that their monitors claim no pod of a shared pool and restart no pod."""
 
 

@@ -598,26 +598,26 @@ class RobotWorkloadStatus(Model):
     )
     """The items of kept state, with their age."""
     conditions: Conditions | None = None
-    """Each is True if the following holds. Accepted: the spec and the policy are valid. Reconciled: all objects match
-    the spec. Protected: the policy's first strategy could run now. StrategiesChosen (if the policy has a strategy
-    Auto): the chosen order meets the policy's spec.requirements; the message explains it. SituationCovered (if the
-    policy has situations): the strategies of the current situation are in effect; False until a pod for its first
-    strategy is ready. MemorySufficient (if the policy lets the monitor keep much): the monitor's memory limit covers
-    that. PolicyMapSufficient (only if it is False): the gate needs at most 70 % of Cilium's policy map. Monitored: the
-    monitor watches every topic of the health tree. Healthy: the health tree succeeds. DependenciesResolved (if
-    spec.dependsOn is set): the workloads exist, and there is no cycle. DependencyFailed: the workload fails, and the
-    monitor waits because a dependency may have caused it. Degraded: the health tree succeeds, and the stricter tree of
-    the policy's spec.degraded fails. Resized: the active pod has the resources that the policy sets for a degraded
-    workload. GateEnforced: of the probe packets to the monitor, only those of the pods for which the gate is open (the
-    active pod and, with a reflex, one standby) arrive, the robot reads no output topic at a port outside the gate, and
-    no agent reports a network interface besides that of the pod network. SoleDriver: the monitor hears no instance
-    that the gate does not let through, by the messages on all topics of spec.outputs and by probe packets; Unknown if
-    a sender is no known instance, or if an instance that drove before may still call a service or an action, and
-    nothing shows whether it does. OutputsRead: the robot reads every topic of spec.outputs at gated ports. Recovering:
-    a recovery is in progress. Paused: spec.pause is in effect. WithinBudget (if the policy has limits.budget): the
-    budget allows another recovery. BroughtUp: bringUp and the pools' initializations have succeeded on every instance.
-    Reflex (if spec.gate.reflex is set): the gate is also open for a standby, so that the robot's DataReaders switch to
-    it if the active instance falls silent. Draining: the active pod's node is being drained, and evictions wait until
-    an instance on another node has taken over. TasksProxied (if spec.tasks is set): the proxy serves all tasks.
-    StateKept: everything in the policy's spec.state is kept. StateRestored: the last instance that took over received
-    all of it."""
+    """Each is True if the following holds. Ready: Accepted, Reconciled and Protected are. Accepted: the spec and the
+    policy are valid. Reconciled: all objects match the spec. Protected: the policy's first strategy could run now.
+    StrategiesChosen (if the policy has a strategy Auto): the chosen order meets the policy's spec.requirements; the
+    message explains it. SituationCovered (if the policy has situations): the strategies of the current situation are
+    in effect; False until a pod for its first strategy is ready. MemorySufficient (if the policy lets the monitor keep
+    much): the monitor's memory limit covers that. PolicyMapSufficient (only if it is False): the gate needs at most 70
+    % of Cilium's policy map. Monitored: the monitor watches every topic of the health tree. Healthy: the health tree
+    succeeds. DependenciesResolved (if spec.dependsOn is set): the workloads exist, and there is no cycle.
+    DependencyFailed: the workload fails, and the monitor waits because a dependency may have caused it. Degraded: the
+    health tree succeeds, and the stricter tree of the policy's spec.degraded fails. Resized: the active pod has the
+    resources that the policy sets for a degraded workload. GateEnforced: of the probe packets to the monitor, only
+    those of the pods for which the gate is open (the active pod and, with a reflex, one standby) arrive, the robot
+    reads no output topic at a port outside the gate, and no agent reports a network interface besides that of the pod
+    network. SoleDriver: the monitor hears no instance that the gate does not let through, by the messages on all
+    topics of spec.outputs and by probe packets; Unknown if a sender is no known instance, or if an instance that drove
+    before may still call a service or an action, and nothing shows whether it does. OutputsRead: the robot reads every
+    topic of spec.outputs at gated ports. Recovering: a recovery is in progress. Paused: spec.pause is in effect.
+    WithinBudget (if the policy has limits.budget): the budget allows another recovery. BroughtUp: bringUp and the
+    pools' initializations have succeeded on every instance. Reflex (if spec.gate.reflex is set): the gate is also open
+    for a standby, so that the robot's DataReaders switch to it if the active instance falls silent. Draining: the
+    active pod's node is being drained, and evictions wait until an instance on another node has taken over.
+    TasksProxied (if spec.tasks is set): the proxy serves all tasks. StateKept: everything in the policy's spec.state
+    is kept. StateRestored: the last instance that took over received all of it."""

@@ -84,6 +84,11 @@ KINDS = (
             Column("Active", ".status.active", "The pod that controls the robot."),
             Column("Health", ".status.health", "Unknown, Starting, Healthy, Degraded, Failed or Recovering."),
             Column(
+                "Protected",
+                '.status.conditions[?(@.type=="Protected")].status',
+                "Whether the first strategy of the policy could run now; see the condition's message.",
+            ),
+            Column(
                 "Standby",
                 ".status.standby",
                 "Readiness level of the standbys, and how many of them could take over now.",

@@ -12,7 +12,7 @@ from typing import Any
 from pydantic import Field, ValidationError
 
 from understudy.api.base import Model
-from understudy.api.conditions import Condition
+from understudy.api.conditions import Condition, is_summary
 from understudy.api.health_reasons import PAST
 from understudy.api.kinds.fallback_pool import FallbackPoolStatus, has_standbys
 from understudy.api.kinds.robot_workload import Recovery, RobotWorkloadStatus
@@ -230,10 +230,11 @@ def problems(
         conditions = [condition for condition in conditions if condition.type != "Recovering"]
         reason, message = recovering.occasion, recovering.message
         found.append(Problem(type="Recovering", reason=reason, message=message, since=recovering.since))
+    wired = [condition.to_wire() for condition in conditions]
     protected = next((c for c in conditions if c.type == "Protected" and c.status == "False"), None)
     gate = next((c.reason for c in conditions if c.type == "GateEnforced" and c.status == "False"), "")
     for condition in conditions:
-        if not _is_problem(condition):
+        if not _is_problem(condition) or is_summary(condition.to_wire(), wired):
             continue
         same = protected is not None and protected.reason == condition.reason
         if condition.type == "Reconciled" and (same or condition.reason == "NotAccepted"):

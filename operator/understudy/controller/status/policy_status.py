@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 
-from understudy.api.conditions import Condition, condition
+from understudy.api.conditions import Condition, condition, summary
 from understudy.api.kinds.fallback_pool import SHARED_NAMES, STANDBY_NAMES
 from understudy.controller.observed import kube_objects, policy_reader, pool_reader, situation_strategies
 from understudy.controller.plan import Problem
@@ -95,12 +95,13 @@ def status(
 
     ``storm`` is its condition for storms, if it has a guard.
     """
+    accepted = conditions(policy, pools, config_maps)
     tree = policy_reader.tree_in_force(policy, config_maps)
     return {
         "workloads": len(users),
         "strategies": in_short(policy, pools),
         **({"tree": tree} if tree is not None else {}),
         **kube_objects.status(
-            policy, (*conditions(policy, pools, config_maps), *([storm] if storm is not None else []))
+            policy, (summary(accepted, ["Accepted"]), *accepted, *([storm] if storm is not None else []))
         ),
     }

@@ -7,7 +7,7 @@ from functools import partial
 
 from understudy.advice import order_explanation
 from understudy.api import names
-from understudy.api.conditions import Condition, condition, merged
+from understudy.api.conditions import Condition, condition, is_summary, merged, summary
 from understudy.api.kinds.failure_policy import Strategy
 from understudy.controller.desired import effective_policy, monitor_memory, node_drain, standby_pods
 from understudy.controller.desired.workload_plan import WorkloadPlan
@@ -46,6 +46,9 @@ Ready reports an empty pool, and so do the monitors of the workloads that wait f
 new pods cannot start.
 """
 
+READY = ("Accepted", "Reconciled", "Protected")
+"""The conditions that a workload must meet to be Ready. Its robot's health is not one of them: a workload under recovery is set up."""
+
 CHOSEN = "StrategiesChosen"
 """The condition with the selected order and its reasons, for workloads whose policy leaves the order open."""
 
@@ -74,7 +77,7 @@ def status(
         "standby": protection.standby(observed, workload_plan),
         **protection.stocked(observed, workload_plan),
         **_order(observed, workload_plan),
-        **kube_objects.status(workload, conditions),
+        **kube_objects.status(workload, [summary(conditions, READY), *conditions]),
     }
 
 
@@ -91,6 +94,8 @@ def transitions(live: Object, desired: Object) -> list[Object]:
     found = []
     for new in desired["conditions"]:
         before = old.get(new["type"])
+        if is_summary(new, desired["conditions"]):
+            continue
         if new["type"] in UNTOLD or new["reason"] in protection.LIMIT_CONDITIONS.values():
             continue
         if before is not None and (before["status"], before["reason"]) == (new["status"], new["reason"]):

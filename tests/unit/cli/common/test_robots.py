@@ -63,6 +63,7 @@ def test_one_cause_is_reported_once_and_protection_comes_first() -> None:
     assert found.problems[0].since is not None
     both = [condition("GateEnforced", "False", "NotEnforced"), condition("Protected", "False", "PoolEmpty")]
     assert problems(*both) == [("not protected", "PoolEmpty"), ("gate not enforced", "NotEnforced")]
+    assert problems(condition("Ready", "False", "PoolEmpty"), *both) == problems(*both)
     gate, read = (condition(type_, "False", "ReaderWithoutProfile") for type_ in ("GateEnforced", "OutputsRead"))
     assert problems(gate, read) == [("gate not enforced", "ReaderWithoutProfile")]
     assert problems(condition("GateEnforced", "False", "NotEnforced"), read) == [
