@@ -39,7 +39,8 @@ def test_every_object_is_accepted_strictly(
 ) -> None:
     # The pod of `helm test` may be there from an earlier one, and pods can't be changed.
     command = [
-        helm, "template", release.name, str(CHART), "--namespace", release.namespace, "--kube-version", "1.34", "--skip-tests"
+        helm, "template", release.name, str(CHART), "--namespace", release.namespace, "--kube-version", "1.34", "--skip-tests",
+        "--set", "images.operator.repository=understudy/operator,images.monitor.repository=understudy/monitor",
     ]  # fmt: skip
     rendered = subprocess.run([*command, *arguments], capture_output=True, text=True, timeout=60, check=True).stdout
     items = [item for item in yaml.safe_load_all(rendered) if item]

@@ -22,7 +22,8 @@ RIGHTS = ("ServiceAccount", "ClusterRole", "ClusterRoleBinding", "Role", "RoleBi
 def confined(cluster: Cluster, helm: str, kubeconfig: Path, namespace: str, tmp_path: Path) -> Iterator[Path]:
     """The kubeconfig of an operator that the chart lets look after one namespace."""
     chart = str(REPOSITORY / "charts" / "understudy")
-    settings = f"watchNamespaces={{{namespace}}},rbac.aggregate=false"
+    images = "images.operator.repository=understudy/operator,images.monitor.repository=understudy/monitor"
+    settings = f"watchNamespaces={{{namespace}}},rbac.aggregate=false,{images}"
     name, own = CONFINED.name, CONFINED.namespace
     command = [helm, "template", name, chart, "--namespace", own, "--kube-version", "1.34", "--set", settings]
     rendered = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout

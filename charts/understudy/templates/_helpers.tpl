@@ -1,8 +1,11 @@
 {{- define "understudy.name" -}}
-{{- if contains "understudy" .Release.Name -}}
+{{- $name := .Values.nameOverride | default "understudy" -}}
+{{- if .Values.fullnameOverride -}}
+{{- .Values.fullnameOverride -}}
+{{- else if contains $name .Release.Name -}}
 {{- .Release.Name | trunc 40 | trimSuffix "-" -}}
 {{- else -}}
-{{- printf "%s-understudy" (.Release.Name | trunc 29 | trimSuffix "-") -}}
+{{- printf "%s-%s" (.Release.Name | trunc (int (sub 39 (len $name))) | trimSuffix "-") $name -}}
 {{- end -}}
 {{- end -}}
 
@@ -28,10 +31,13 @@ app.kubernetes.io/managed-by: {{ .Release.Service }}
 helm.sh/chart: {{ printf "%s-%s" .Chart.Name .Chart.Version | replace "+" "_" }}
 {{- end -}}
 
-{{- /* An image: (list $ .Values.images.operator) */ -}}
+{{- /* An image: (list $ "operator") */ -}}
 {{- define "understudy.image" -}}
 {{- $root := index . 0 -}}
-{{- $image := index . 1 -}}
+{{- $image := index $root.Values.images (index . 1) -}}
+{{- if not $image.repository -}}
+{{- fail (printf "images.%s.repository is empty, and no registry has the images of Understudy yet. In its repository, `scripts/release REGISTRY >images.yaml` builds them and pushes them to your registry; then add --values images.yaml. For a test cluster on this machine, `scripts/images --load` builds them (charts/understudy/README.md)" (index . 1)) -}}
+{{- end -}}
 {{- printf "%s:%s" $image.repository ($image.tag | default $root.Chart.AppVersion) -}}
 {{- with $image.digest }}@{{ . }}{{ end -}}
 {{- end -}}

@@ -12,6 +12,9 @@ import yaml
 
 CHART = Path(__file__).resolve().parents[3] / "charts" / "understudy"
 
+IMAGES = "images.operator.repository=understudy/operator,images.monitor.repository=understudy/monitor"
+"""What everybody has to give."""
+
 Object = dict[str, Any]
 Run = Callable[..., subprocess.CompletedProcess[str]]
 Render = Callable[..., list[Object]]
@@ -25,7 +28,8 @@ def run(helm: str) -> Run:
         *settings: str, release: str = "understudy", tests: bool = False, values: Path | None = None
     ) -> subprocess.CompletedProcess[str]:
         named = values or any(setting.startswith("watchNamespaces=") for setting in settings)
-        words = [word for setting in settings for word in ("--set", setting)]
+        words = [] if values else ["--set", IMAGES]
+        words += [word for setting in settings for word in ("--set", setting)]
         words += [] if named else ["--set", "allNamespaces=true"]
         words += ["--values", str(values)] if values else []
         words += [] if tests else ["--skip-tests"]

@@ -14,6 +14,7 @@ import yaml
 
 from scripts import release_images
 from tests.support.pages import PAGES, REPOSITORY, page_name, typed
+from tests.unit.chart.conftest import IMAGES
 from understudy import __version__
 
 ALONE, WITH_ONE = {"--install", "--create-namespace", "--wait", "--reuse-values"}, {"--namespace", "--timeout"}
@@ -38,7 +39,7 @@ def rendering(line: str) -> list[str]:
         elif word not in ALONE:
             kept.append(word)
         elif word == "--reuse-values":
-            kept += ["--set", "allNamespaces=true"]
+            kept += ["--set", f"allNamespaces=true,{IMAGES}"]
     return kept
 
 
