@@ -88,8 +88,11 @@ VERBS = (
 _BY_NAME = {verb.name: verb for verb in VERBS}
 _FOR_PEOPLE = [verb for verb in VERBS if verb.group]
 
-_WITH_VALUE = ("-n", "--namespace", "--context", "--kubeconfig")
+_WITH_VALUE = ("-n", "--namespace", "--context", "--kubeconfig", "--as", "--request-timeout")
 """Options that may be in front of the verb, as in ``kubectl understudy -n fleet status``, and that have a value."""
+
+
+_COLORS = ("auto", "always", "never")
 
 
 def main() -> int:
@@ -100,11 +103,15 @@ def main() -> int:
     if not arguments or arguments[0] in ("-h", "--help", "help"):
         print(_help(), file=sys.stdout if arguments else sys.stderr)
         return 0 if arguments else 2
-    if arguments[0] in ("--version", "version"):
+    try:
+        arguments = _verb_first(_without_color(arguments))
+    except ValueError as error:
+        print(f"understudy: {error}", file=sys.stderr)
+        return 2
+    if arguments and arguments[0] in ("--version", "version"):
         print(f"understudy {__version__}")
         return 0
-    arguments = _verb_first(arguments)
-    if arguments[0].startswith("-"):
+    if not arguments or arguments[0].startswith("-"):
         print(_help(), file=sys.stderr)
         return 2
     verb = _BY_NAME.get(arguments[0])
@@ -115,6 +122,20 @@ def main() -> int:
         with importlib.import_module("understudy.cli.common.text.terminal").guarded_output():
             return _run(verb, arguments[1:])
     _end(_run(verb, arguments[1:]))
+
+
+def _without_color(arguments: list[str]) -> list[str]:
+    """Take ``--color`` out of the arguments, into the environment. Raises ValueError."""
+    place = next((place for place, word in enumerate(arguments) if word.partition("=")[0] == "--color"), None)
+    if place is None:
+        return arguments
+    _, equals, value = arguments[place].partition("=")
+    last = place if equals else place + 1
+    value = value if equals else "".join(arguments[last : last + 1])
+    if value not in _COLORS:
+        raise ValueError(f"--color: found {value!r}; give one of {', '.join(_COLORS)}")
+    os.environ[importlib.import_module("understudy.cli.common.text.terminal").COLOR] = value
+    return arguments[:place] + arguments[last + 1 :]
 
 
 def _verb_first(arguments: list[str]) -> list[str]:
@@ -168,6 +189,7 @@ def _help() -> str:
         lines += ["", group]
         lines += [f"  {verb.name:{width}}{verb.summary}" for verb in _FOR_PEOPLE if verb.group == group]
     lines += ["", "Use understudy VERB --help for the options of a verb, and understudy version for the version."]
+    lines += ["Every verb also has --color auto|always|never. Options may be in front of the verb, as for kubectl."]
     return "\n".join(lines)
 
 
@@ -181,7 +203,8 @@ def _suggestion(found: str) -> str:
 def _complete() -> int:
     """Answer the completion request of a shell."""
     shell_completion = importlib.import_module("understudy.cli.common.shell_completion")
-    verb = _BY_NAME.get(shell_completion.complete_verb([verb.name for verb in _FOR_PEOPLE]))
+    verbs = [*(verb.name for verb in _FOR_PEOPLE), "version"]
+    verb = _BY_NAME.get(shell_completion.complete_verb(verbs, _WITH_VALUE))
     if verb is not None and not verb.in_pods:
         shell_completion.complete_arguments(importlib.import_module(verb.module).main)
     return 1

@@ -9,6 +9,7 @@ from typing import Any, NoReturn
 from unittest import mock
 
 from understudy.cli.common.cluster_access import kubectl
+from understudy.cli.common.option_rules import EXAMPLES
 from understudy.main import VERBS
 
 _INTRODUCTION = """\
@@ -40,7 +41,10 @@ def page() -> str:
             lines += ["", *_table(own)]
         if len(own) < len(rows):
             lines += ["", "Also the options of [which cluster](#which-cluster)."]
-        lines += ["", _text(parser, parser.epilog)]
+        words, _, examples = (parser.epilog or "").partition(EXAMPLES)
+        lines += ["", _text(parser, words)]
+        if examples:
+            lines += ["", "```sh", *(line.strip() for line in examples.splitlines()), "```"]
     lines += ["", "## In pods", "", _IN_PODS, ""]
     lines += [f"- `understudy {verb.name}`: {verb.summary}" for verb in VERBS if not verb.has_options]
     return "\n".join(lines) + "\n"

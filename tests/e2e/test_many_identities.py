@@ -138,6 +138,6 @@ def test_no_gate_is_open_with_the_documented_setting(executing: Robot, crowd: No
     _renew_standby(executing)
     _assert_enforced(executing, 20.0)
     executing.wait_standby()
-    assert understudy(executing.kubectl, "failover", executing.workload).returncode == 0
+    assert understudy(executing.kubectl, "failover", executing.workload, "--yes").returncode == 0
     assert executing.wait_recovered(1).strategy == "Fallback/Executing"
     _assert_enforced(executing, 10.0)

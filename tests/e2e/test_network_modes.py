@@ -150,7 +150,7 @@ def assert_switched(robot: Robot, network: Network, mode: Mode, *, is_undeleted:
     assert node not in {_node_of(robot, other) for other in others}, "understudies are kept apart"
     network.weaken(node, *mode.options)
     asked = time.time()
-    understudy(robot.kubectl, "failover", robot.workload)
+    understudy(robot.kubectl, "failover", robot.workload, "--yes")
     found = _watched(robot)
     log = robot.log().between(asked, math.inf)
     theirs, ours = log.of(old), [c for c in log.commands if c.source in others]

@@ -233,7 +233,7 @@ def test_a_standby_takes_over_a_robot_outside_of_the_cluster(outside: OutsideRob
 
 def test_a_robot_outside_of_the_cluster_is_handed_over_as_planned(outside: OutsideRobot) -> None:
     old = outside.wait_driven()
-    assert understudy(outside.kubectl, "failover", outside.workload).returncode == 0
+    assert understudy(outside.kubectl, "failover", outside.workload, "--yes").returncode == 0
     new = eventually(
         lambda: (active := outside.status().get("active")) != old and active,
         within=60, what="another instance is in control", note=outside.describe,

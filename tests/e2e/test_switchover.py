@@ -66,7 +66,7 @@ def test_the_robot_does_not_notice_a_requested_switchover(executing: Robot, gate
     old = executing.wait_protected()
     executing.wait_standby()
     epoch = executing.status()["gate"]["epoch"]
-    done = understudy(executing.kubectl, "failover", executing.workload)
+    done = understudy(executing.kubectl, "failover", executing.workload, "--yes")
     assert done.returncode == 0, done.stderr
     assert f" by Fallback/Executing, gate epoch {epoch + 1}" in done.stdout
     # A mux does not report when it forwarded the last output of an instance.
@@ -102,7 +102,7 @@ def test_a_switchover_requested_by_annotation_works_as_documented(executing: Rob
 @pytest.mark.long
 def test_an_initialized_standby_is_activated_before_the_switch(managed: Robot) -> None:
     managed.wait_protected()
-    done = understudy(managed.kubectl, "failover", managed.workload)
+    done = understudy(managed.kubectl, "failover", managed.workload, "--yes")
     assert done.returncode == 0, done.stdout + done.stderr
     recovery = managed.wait_recovered(1)
     assert recovery.strategy == "Fallback/Initialized", recovery
@@ -111,21 +111,21 @@ def test_an_initialized_standby_is_activated_before_the_switch(managed: Robot) -
 
 def test_a_pod_of_a_shared_pool_takes_over_and_control_returns_to_the_workload_s_own_pod(uninitialized: Robot) -> None:
     uninitialized.wait_protected()
-    done = understudy(uninitialized.kubectl, "failover", uninitialized.workload)
+    done = understudy(uninitialized.kubectl, "failover", uninitialized.workload, "--yes")
     assert done.returncode == 0, done.stdout + done.stderr
     away = uninitialized.wait_recovered(1)
     assert away.strategy == "Fallback/Uninitialized", away
     assert_unnoticed(uninitialized, away, kind="Failover")
     assert uninitialized.wait_protected() == away.new
 
-    done = understudy(uninitialized.kubectl, "failback", uninitialized.workload)
+    done = understudy(uninitialized.kubectl, "failback", uninitialized.workload, "--yes")
     assert done.returncode == 0, done.stdout + done.stderr
     home = uninitialized.wait_recovered(2)
     assert home.old == away.new
     assert_unnoticed(uninitialized, home, kind="Failback")
     labels = uninitialized.kubectl.get("pod", home.new)["metadata"]["labels"]
     assert labels.get("understudy.dev/source") == "workload"
-    again = understudy(uninitialized.kubectl, "failback", uninitialized.workload)
+    again = understudy(uninitialized.kubectl, "failback", uninitialized.workload, "--yes")
     assert again.returncode == 0
     assert "is active already" in " ".join(again.stdout.split())  # lines end where the terminal ends
     assert len(uninitialized.recoveries()) == 2
@@ -134,7 +134,7 @@ def test_a_pod_of_a_shared_pool_takes_over_and_control_returns_to_the_workload_s
 @pytest.mark.long
 def test_a_switchover_without_an_understudy_is_refused_with_the_reason(restarting: Robot) -> None:
     active = restarting.wait_protected()
-    done = understudy(restarting.kubectl, "failover", restarting.workload)
+    done = understudy(restarting.kubectl, "failover", restarting.workload, "--yes")
     assert done.returncode == 1, done.stdout + done.stderr
     assert "NOT done: " in done.stdout
     assert "runs only one pod, and this pod is active" in " ".join(done.stdout.split())

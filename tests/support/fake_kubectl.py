@@ -52,7 +52,8 @@ if "patch" in arguments:
     for number, item in enumerate(settings["items"]):
         if item["metadata"]["name"] == name and plural(item) == kind.partition(".")[0]:
             settings["items"][number] = merged(item, patch)
-            json.dump(settings, open(path, "w"))
+            if "--dry-run=server" not in arguments:
+                json.dump(settings, open(path, "w"))
             print(json.dumps(settings["items"][number]))
             sys.exit(0)
     sys.exit(f'Error from server (NotFound): {{kind}} "{{name}}" not found')
@@ -68,7 +69,8 @@ if "annotate" in arguments:
         if item["metadata"]["name"] == name:
             item["metadata"].setdefault("annotations", {{}})[note] = value
     settings["asked"] = value
-    json.dump(settings, open(path, "w"))
+    if "--dry-run=server" not in arguments:
+        json.dump(settings, open(path, "w"))
     sys.exit(0)
 if settings["then"] and settings["asked"]:
     fields = json.loads(json.dumps(settings["then"].pop(0)).replace("ASKED", settings["asked"]))
@@ -80,6 +82,11 @@ for argument in rest[1:]:
         break
     names.append(argument)
 found = [item for item in settings["items"] if plural(item) in kinds]
+if "-l" in rest and kinds == {{"robotworkloads"}}:
+    key, _, value = rest[rest.index("-l") + 1].partition("=")
+    found = [item for item in found if item["metadata"].get("labels", {{}}).get(key) == value]
+    print(json.dumps({{"kind": "List", "items": found}}))
+    sys.exit(0)
 named = [item for name in names for item in found if item["metadata"]["name"] == name]
 if names and len(named) < len(names):
     if "--ignore-not-found" in arguments:

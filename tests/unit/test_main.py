@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import subprocess
 import sys
 from types import SimpleNamespace
@@ -12,6 +13,7 @@ import pytest
 from understudy import __version__
 from understudy import main as command
 from understudy.cli.common.cluster_access import kubectl
+from understudy.cli.common.text import terminal
 
 
 def _run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
@@ -78,6 +80,21 @@ def test_options_may_be_in_front_of_the_verb(typed: list[str], monkeypatch: pyte
     monkeypatch.setattr(command, "import_frozen", lambda module: SimpleNamespace(main=run))
     assert _run(monkeypatch, *typed) == 0
     assert [(one.namespace, one.names) for one in parsed] == [("fleet", ["robot-1"])]
+
+
+@pytest.mark.parametrize("typed", [["--color", "never", "status"], ["status", "--color=never"]])
+def test_colours_are_chosen_with_every_verb(typed: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(terminal.COLOR, "")
+    monkeypatch.setattr(command, "import_frozen", lambda module: SimpleNamespace(main=lambda arguments: len(arguments)))
+    assert _run(monkeypatch, *typed) == 0, "the verb gets no argument"
+    assert os.environ[terminal.COLOR] == "never"
+
+
+def test_an_unknown_choice_of_colours_is_an_error(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert _run(monkeypatch, "status", "--color=blue") == 2
+    assert capsys.readouterr().err == "understudy: --color: found 'blue'; give one of auto, always, never\n"
 
 
 def test_options_without_a_verb_are_an_error_with_the_help_text(

@@ -15,6 +15,7 @@ import yaml
 from scripts.generation import commands, leaves, metrics
 from tests.support.pages import PAGES, page_name, typed
 from tests.unit.trees.btcpp_texts import load_xml
+from understudy.cli.common.option_rules import EXAMPLES
 from understudy.main import VERBS
 from understudy.trees.languages.btcpp.library import NODES, tag_of
 from understudy.trees.leaves import procedure_leaves
@@ -146,6 +147,13 @@ def ours() -> Iterator[Any]:
             found = re.search(r"(?:^|\| ?|eval |kubectl )understudy ([a-z].*)", line)
             if found is not None:
                 yield pytest.param(found[1], id=f"{page_name(page)}-{found[1][:40]}")
+
+
+@pytest.mark.parametrize("verb", sorted(set(PARSERS) - {verb.name for verb in VERBS if verb.in_pods or not verb.group}))
+def test_the_help_of_each_verb_has_two_examples(verb: str) -> None:
+    _, _, examples = PARSERS[verb].format_help().partition(EXAMPLES)
+    assert len(examples.splitlines()) >= 2
+    assert all(f"understudy {verb}" in line for line in examples.splitlines())
 
 
 @pytest.mark.parametrize("line", list(ours()))

@@ -11,7 +11,7 @@ from typing import Any
 from understudy.api.output_formats import structured
 from understudy.cli.check import mux_check, reference_check, robot_node_check
 from understudy.cli.common.errors import reports_errors
-from understudy.cli.common.option_rules import add_output
+from understudy.cli.common.option_rules import add_examples, add_output
 from understudy.cli.common.text import terminal
 from understudy.cli.common.text.wording import counted
 from understudy.cli.manifests import config_map_trees, manifest_reader, object_check
@@ -104,6 +104,7 @@ def main(arguments: list[str]) -> int:
         "skips objects of other kinds.",
         epilog="Exit status: 0 without errors, 1 with errors, 2 if a file cannot be read.",
     )
+    add_examples(parser, "understudy check fleet/", "helm template fleet | understudy check -")
     parser.add_argument(
         "files", nargs="*", metavar="FILE", help="a manifest, a folder (its *.yaml and *.yml), or - for standard input"
     )

@@ -26,6 +26,24 @@ def reject_unless(
         parser.error(f"{'/'.join(action.option_strings)} {why}")
 
 
+EXAMPLES = "\n\nExamples:\n"
+"""Between the epilog of a parser and its examples (:func:`add_examples`)."""
+
+
+def add_examples(parser: argparse.ArgumentParser, *commands: str) -> None:
+    """Show examples at the end of the help, each on a line of its own."""
+    parser.formatter_class = _WithExamples
+    parser.epilog = f"{parser.epilog}{EXAMPLES}" + "\n".join(f"  {command}" for command in commands)
+
+
+class _WithExamples(argparse.HelpFormatter):
+    """Wraps texts, but not examples."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        words, mark, examples = text.partition(EXAMPLES)
+        return f"{super()._fill_text(words, width, indent)}{mark}{examples}"
+
+
 def add_output(parser: argparse._ActionsContainer, words: str = "text, or all details as JSON or YAML") -> None:
     """Add ``--output`` with the formats text, JSON and YAML."""
     parser.add_argument("-o", "--output", choices=["text", "json", "yaml"], default="text", help=words)

@@ -46,17 +46,34 @@ def argcomplete() -> ModuleType:
     return package
 
 
-def complete_verb(verbs: Sequence[str]) -> str | None:
-    """Return the verb of the line, whose parser then answers (:func:`offer`). If it is incomplete, complete it and return None."""
+def complete_verb(verbs: Sequence[str], with_value: Sequence[str]) -> str | None:
+    """Return the verb of the line, whose parser then answers (:func:`offer`). If it is incomplete, complete it and return None.
+
+    Options in front of the verb are moved behind it, as when the command runs. ``with_value`` are those with a value.
+    """
     line = os.environ.get("COMP_LINE", "")[: int(os.environ.get("COMP_POINT", "0"))]
-    words = line.split()
-    if len(words) > 2 or (len(words) == 2 and line[-1:].isspace()):
+    program, *words = line.split() or [""]
+    count = 0
+    while count < len(words) and words[count].startswith("-"):
+        count += 2 if words[count] in with_value else 1
+    options, rest = words[:count], words[count:]
+    complete = line[-1:].isspace()
+    if len(rest) > 1 or (rest and complete):
+        if options:
+            _ask(" ".join([program, rest[0], *options, *rest[1:]]) + (" " if complete else ""))
         os.environ[_ASKED] = "2"
-        return words[1]
+        return rest[0]
+    if options:
+        _ask(" ".join([program, *(rest or [""])]))
     parser = argparse.ArgumentParser(prog="understudy", add_help=False)
     parser.add_argument("verb", choices=sorted(verbs))
     answer_request(parser)
     return None
+
+
+def _ask(line: str) -> None:
+    """Have argcomplete complete this line."""
+    os.environ |= {"COMP_LINE": line, "COMP_POINT": str(len(line))}
 
 
 def offer(parser: argparse.ArgumentParser, completers: Mapping[str, Completer]) -> None:

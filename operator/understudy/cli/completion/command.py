@@ -6,6 +6,7 @@ import argparse
 
 from understudy.cli.common import shell_completion
 from understudy.cli.common.errors import reports_errors
+from understudy.cli.common.option_rules import add_examples
 
 _COMMANDS = ("understudy", "kubectl-understudy")
 
@@ -29,5 +30,6 @@ def _parser() -> argparse.ArgumentParser:
         "is enough.",
         epilog="Exit status: 0 if the script was printed, 2 if argcomplete is not installed.",
     )
+    add_examples(parser, 'eval "$(understudy completion bash)"', "understudy completion fish | source")
     parser.add_argument("shell", choices=["bash", "zsh", "fish"], help="the shell")
     return parser

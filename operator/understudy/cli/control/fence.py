@@ -8,8 +8,9 @@ import sys
 from understudy.api import names
 from understudy.api.kinds.pause_spec import FENCE, Pause
 from understudy.cli.common import confirmation
-from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options, add_robot
+from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_dry_run, add_options, add_robot
 from understudy.cli.common.errors import CommandError, reports_errors
+from understudy.cli.common.option_rules import add_examples
 from understudy.cli.common.text import terminal
 from understudy.cli.common.text.wording import wrapped
 from understudy.cli.control import signature
@@ -32,7 +33,7 @@ def main(arguments: list[str]) -> int:
     item = kubectl.get(WORKLOADS, options.name)
     confirmation.confirm(
         f"{options.name} controls a robot. When the gate is closed, the robot receives no commands. Close the gate?",
-        yes=options.yes,
+        yes=options.yes or kubectl.dry_run,
     )
     return _fence(kubectl, item, pause)
 
@@ -43,7 +44,10 @@ def _fence(kubectl: Kubectl, item: Object, pause: Pause) -> int:
     paused = kubectl.patch(WORKLOADS, name, {"spec": {"pause": pause.to_wire() | {"until": None}}})
     fenced, epoch = _close(kubectl, name, kind, paused["metadata"]["generation"])
     where = f"{item['metadata']['namespace']}/{name}"
-    _print(f"{where}: gate closed at epoch {epoch} (fenced: {', '.join(fenced) or 'no instance was active'}).")
+    result = f"{where}: gate closed at epoch {epoch} (fenced: {', '.join(fenced) or 'no instance was active'})."
+    _print(kubectl.shown(result))
+    if kubectl.dry_run:
+        return 0
     _print(
         f"The workload is {pause.words}. WARNING: no safe command is sent to the robot. Make sure that the robot stands still. After "
         f"understudy resume {name}, the gate opens for an instance, and the robot can move at once."
@@ -100,8 +104,14 @@ def _parser() -> argparse.ArgumentParser:
         "resume. This is not an emergency stop: what the robot does without commands is up to the robot.",
         epilog="Exit status: 0 if the gate is closed, 2 on an error.",
     )
+    add_examples(
+        parser,
+        'understudy fence robot-1 -n fleet --reason "it left its lane"',
+        "understudy fence robot-1 --reason rehearsal --dry-run=server",
+    )
     add_robot(parser)
     signature.add_options(parser, reason="why the workload is fenced, for other users")
     confirmation.add_option(parser)
+    add_dry_run(parser)
     add_options(parser)
     return parser

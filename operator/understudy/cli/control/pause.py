@@ -10,8 +10,9 @@ from datetime import UTC, datetime
 from understudy.api.base import DURATION_MESSAGE, seconds
 from understudy.api.kinds.pause_spec import Pause
 from understudy.api.moments import MOMENT_MESSAGE, MOMENT_PATTERN, unix
-from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options, add_robot
+from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_dry_run, add_options, add_robots
 from understudy.cli.common.errors import CommandError, reports_errors
+from understudy.cli.common.option_rules import add_examples
 from understudy.cli.control import signature
 
 
@@ -20,11 +21,12 @@ def main(arguments: list[str]) -> int:
     """Run the command."""
     options = _parser().parse_args(arguments)
     pause = _pause(options, time.time())
-    item = Kubectl(options).patch(WORKLOADS, options.name, {"spec": {"pause": pause.to_wire() | _no_end(pause)}})
-    where = f"{item['metadata']['namespace']}/{item['metadata']['name']}"
-    print(
-        f"{where}: {pause.words}. Understudy takes no action and sends no safe command. understudy resume ends the pause."
-    )
+    kubectl = Kubectl(options)
+    for name in options.names:
+        item = kubectl.patch(WORKLOADS, name, {"spec": {"pause": pause.to_wire() | _no_end(pause)}})
+        where = f"{item['metadata']['namespace']}/{item['metadata']['name']}"
+        result = f"{where}: {pause.words}. Understudy takes no action and sends no safe command. understudy resume ends the pause."
+        print(kubectl.shown(result), flush=True)
     return 0
 
 
@@ -57,10 +59,16 @@ def _parser() -> argparse.ArgumentParser:
         "no recovery, no planned switchover and no safe command. A recovery that is under way is completed first.",
         epilog="Exit status: 0 if it is paused now, 2 on an error.",
     )
-    add_robot(parser)
+    add_examples(
+        parser,
+        'understudy pause robot-1 --reason "a new gripper" --for 30m',
+        'understudy pause robot-1 robot-2 -n fleet --reason "floor is cleaned"',
+    )
+    add_robots(parser, required=True)
     signature.add_options(parser, reason="why the workload is paused, for other users")
     end = parser.add_mutually_exclusive_group()
     end.add_argument("--until", metavar="TIME", help="time at which the pause ends, such as 2026-11-22T18:00:00Z")
     end.add_argument("--for", metavar="DURATION", dest="length", help="how long the pause lasts, such as 30m")
+    add_dry_run(parser)
     add_options(parser)
     return parser

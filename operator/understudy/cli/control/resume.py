@@ -8,8 +8,9 @@ import time
 
 from understudy.api import names
 from understudy.api.plain_text import plain
-from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options, add_robot
+from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_dry_run, add_options, add_robots
 from understudy.cli.common.errors import CommandError, reports_errors
+from understudy.cli.common.option_rules import add_examples
 from understudy.cli.control import signature
 from understudy.failover.progress import rfc3339
 from understudy.kube.client import Object
@@ -23,16 +24,22 @@ def main(arguments: list[str]) -> int:
     options = _parser().parse_args(arguments)
     why = _why(options)
     kubectl = Kubectl(options)
-    before = kubectl.get(WORKLOADS, options.name)
+    for name in options.names:
+        _resume(kubectl, name, why)
+    return 0
+
+
+def _resume(kubectl: Kubectl, name: str, why: str | None) -> None:
+    before = kubectl.get(WORKLOADS, name)
     # Without a reason, remove that of an earlier resume.
     word = {"metadata": {"annotations": {names.RESUMED: rfc3339(time.time()), names.RESUMED_FOR: why}}}
-    item = kubectl.patch(WORKLOADS, options.name, word | {"spec": {"pause": None}})
+    item = kubectl.patch(WORKLOADS, name, word | {"spec": {"pause": None}})
     _free_gate(kubectl, item)
     where = f"{item['metadata']['namespace']}/{item['metadata']['name']}"
     pause = (before.get("spec") or {}).get("pause")
     was = f"pause ended; it was paused by {pause.get('owner')}: {pause.get('reason')}" if pause else "it was not paused"
-    print(f"{where}: {plain(was)}. A failure is recovered at once again, and the budget (limits.budget) is reset.")
-    return 0
+    result = f"{where}: {plain(was)}. A failure is recovered at once again, and the budget (limits.budget) is reset."
+    print(kubectl.shown(result), flush=True)
 
 
 def _free_gate(kubectl: Kubectl, item: Object) -> None:
@@ -61,7 +68,11 @@ def _parser() -> argparse.ArgumentParser:
         "(limits.budget), so that a recovery that a limit deferred starts at once.",
         epilog="Exit status: 0 if it was resumed, 2 on an error.",
     )
-    add_robot(parser)
+    add_examples(
+        parser, "understudy resume robot-1 -n fleet", 'understudy resume robot-1 --reason "the gripper is mounted"'
+    )
+    add_robots(parser, required=True)
     signature.add_options(parser, reason="what was found or done, for the record", required=False)
+    add_dry_run(parser)
     add_options(parser)
     return parser

@@ -12,6 +12,7 @@ from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.output_formats import structured
 from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options, add_robot
 from understudy.cli.common.errors import CommandError, reports_errors
+from understudy.cli.common.option_rules import add_examples
 from understudy.cli.control.mux_files import MuxFiles
 from understudy.cli.control.profile_files import ENV_FILE, PROFILES_FILE, Profile, RobotFiles
 from understudy.controller.pods.ros_environment import PROFILES_DIR
@@ -87,6 +88,9 @@ def _parser() -> argparse.ArgumentParser:
         "they need no profiles, and the second file is the environment of the mux instead. "
         "Also prints where to put the two files, and what else the robot needs. It changes nothing.",
         epilog="Exit status: 0 on success, 2 on an error, for example if the files do not exist yet.",
+    )
+    add_examples(
+        parser, "understudy robot-profile robot-1 -n fleet", "understudy robot-profile robot-1 --write robot-1/"
     )
     add_robot(parser)
     how = parser.add_mutually_exclusive_group()

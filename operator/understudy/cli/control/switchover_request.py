@@ -12,8 +12,8 @@ from understudy.api import names
 from understudy.api.kinds.robot_workload import Recovery, RobotWorkloadStatus
 from understudy.api.kinds.switchover_spec import ENDED, SwitchoverStatus, Verb, request
 from understudy.api.plain_text import plain
-from understudy.cli.common import option_rules
-from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options, add_robot
+from understudy.cli.common import confirmation, option_rules
+from understudy.cli.common.cluster_access.kubectl import Kubectl, add_dry_run, add_options, add_robot
 from understudy.cli.common.errors import CommandError
 from understudy.cli.common.robots import UNWATCHED, robot, status_of
 from understudy.cli.common.text import terminal
@@ -45,19 +45,25 @@ _PURPOSE: Mapping[Verb, str] = {
 def run(verb: Verb, arguments: list[str]) -> int:
     """Run the command."""
     options = _parser(verb).parse_args(arguments)
-    return _switch(verb, Kubectl(options), options.name, options.within)
+    kubectl = Kubectl(options)
+    _refuse(kubectl.get(WORKLOADS, options.name))
+    confirmation.confirm(
+        f"{options.name} controls a robot, which receives the commands of another instance from the switch on. Switch?",
+        yes=options.yes or kubectl.dry_run,
+    )
+    return _switch(verb, kubectl, options.name, options.within)
 
 
 def _switch(verb: Verb, kubectl: Kubectl, name: str, within: float) -> int:
-    item = kubectl.get(WORKLOADS, name)
-    _refuse(item)
     columns = terminal.columns(sys.stdout)
     asked, started_at = request(verb, time.time()), time.monotonic()
     reported: tuple[str, str] = ("", "")
     try:
         with kubectl.changes(WORKLOADS, name) as changed:
             kubectl.annotate(WORKLOADS, name, names.SWITCHOVER, asked)
-            print("requested", flush=True)
+            print(kubectl.shown("requested"), flush=True)
+            if kubectl.dry_run:
+                return DONE
             while time.monotonic() - started_at < within:
                 status = status_of(kubectl.get(WORKLOADS, name))
                 found = status.switchover
@@ -134,6 +140,9 @@ def _parser(verb: Verb) -> argparse.ArgumentParser:
         epilog="Exit status: 0 if the switchover succeeded, 1 if it failed and the former instance keeps control, "
         "2 if the command did not see the end, or on another error.",
     )
+    option_rules.add_examples(
+        parser, f"understudy {verb} robot-1 -n fleet", f"understudy {verb} robot-1 --yes --within 30s"
+    )
     add_robot(parser)
     parser.add_argument(
         "--within",
@@ -143,5 +152,7 @@ def _parser(verb: Verb) -> argparse.ArgumentParser:
         help="how long the command waits for the end of the switchover, such as 30s (default: 2m); after this time, the switchover "
         "continues without the command",
     )
+    confirmation.add_option(parser)
+    add_dry_run(parser)
     add_options(parser)
     return parser

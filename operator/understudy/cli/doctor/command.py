@@ -9,12 +9,13 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
+from urllib.parse import quote
 
 from understudy import __version__
 from understudy.api.output_formats import structured
 from understudy.api.plain_text import plain
 from understudy.cli.common import option_rules
-from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options, add_robots
+from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options, add_robots, chosen
 from understudy.cli.common.cluster_access.kubectl_proxy import Api, Refused, proxied
 from understudy.cli.common.errors import ERROR, CommandError, reports_errors
 from understudy.cli.common.text import terminal
@@ -51,6 +52,7 @@ def main(arguments: list[str]) -> int:
         parser, options, not options.no_pods, "--image", "sets the image of the test pods: remove --no-pods"
     )
     out = sys.stdout
+    chosen(options)  # not both names and a selector
     try:
         kubectl = Kubectl(options)
         with _progress() as progress, proxied(kubectl) as api:
@@ -71,7 +73,7 @@ def main(arguments: list[str]) -> int:
 @contextlib.contextmanager
 def _progress() -> Iterator[Callable[[str], None]]:
     """Show the current step: in a terminal in one line that is erased at the end, else in a line for each step."""
-    if not sys.stderr.isatty():
+    if not terminal.redraws(sys.stderr):
         yield lambda what: print(plain(what), file=sys.stderr, flush=True)
         return
     try:
@@ -125,7 +127,8 @@ class _Examination:
         try:
             if self._options.names:
                 return [self._api.get(WORKLOADS.path(namespace, name)) for name in self._options.names]
-            items: list[Object] = self._api.get(WORKLOADS.path(namespace))["items"]
+            selector = f"?labelSelector={quote(self._options.selector)}" if self._options.selector else ""
+            items: list[Object] = self._api.get(WORKLOADS.path(namespace) + selector)["items"]
         except Refused as refused:
             if self._options.names:
                 raise
@@ -199,6 +202,7 @@ def _parser() -> argparse.ArgumentParser:
         "robots have a mux, a gate for the test, which send nothing to a robot, and deletes them at the end.",
         epilog="Exit status: 0 if nothing failed (warnings are reported), 1 if something failed, 2 if this cannot be determined.",
     )
+    option_rules.add_examples(parser, "understudy doctor -n fleet", "understudy doctor robot-1 --no-pods")
     add_robots(parser)
     parser.add_argument(
         "--no-pods",

@@ -125,6 +125,11 @@ def _parser() -> argparse.ArgumentParser:
         f"label {ALLOWED}=true allows it.",
         epilog="Exit status: 0 if the fault was injected, 2 if it was not.",
     )
+    option_rules.add_examples(
+        parser,
+        "understudy inject robot-1 freeze -n fleet --for 10s",
+        "understudy inject robot-1 partition --from monitor --yes",
+    )
     add_robot(parser)
     parser.add_argument(
         "fault",

@@ -171,6 +171,9 @@ def _parser() -> argparse.ArgumentParser:
         "kubectl and the permission to forward ports to pods.",
         epilog="Exit status: 0 if there are recordings, or the recording was fetched, 1 if there are none, 2 on an error.",
     )
+    option_rules.add_examples(
+        parser, "understudy blackbox robot-1 -n fleet", "understudy blackbox robot-1 --fetch latest --to failure.mcap"
+    )
     add_robot(parser)
     parser.add_argument(
         "--fetch",

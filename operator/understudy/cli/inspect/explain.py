@@ -8,7 +8,7 @@ import sys
 from understudy.api.output_formats import structured
 from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options, add_robot
 from understudy.cli.common.errors import reports_errors
-from understudy.cli.common.option_rules import add_output
+from understudy.cli.common.option_rules import add_examples, add_output
 from understudy.cli.common.text import terminal
 from understudy.cli.inspect import explanation
 from understudy.cli.inspect.cluster_observation import around
@@ -40,6 +40,7 @@ def _parser() -> argparse.ArgumentParser:
         epilog="Exit status: 0 if the workload is protected (the monitor watches it, and the first strategy of its policy could run now) "
         "and healthy (or degraded), 1 if it is not, 2 if this cannot be determined.",
     )
+    add_examples(parser, "understudy explain robot-1 -n fleet", "understudy explain rw/robot-1 -o json")
     add_robot(parser)
     add_output(parser)
     add_options(parser)

@@ -13,8 +13,9 @@ from typing import TextIO
 
 from understudy.api import names
 from understudy.api.output_formats import structured
-from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options, add_robots
+from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options, add_robots, chosen
 from understudy.cli.common.errors import ERROR, CommandError, Forbidden, reports_errors
+from understudy.cli.common.option_rules import add_examples
 from understudy.cli.common.robots import Pool, Robot, pool, robot
 from understudy.cli.common.text import terminal
 from understudy.cli.inspect import status_screen
@@ -25,6 +26,9 @@ from understudy.kube.gates import registry
 
 PROTECTED, NOT_PROTECTED = 0, 1
 """Exit statuses besides ERROR."""
+
+NAMED = "robotworkload.understudy.dev"
+"""What ``-o name`` puts in front of a name, as kubectl does."""
 
 WORKLOADS, POOLS = "robotworkloads.understudy.dev", "fallbackpools.understudy.dev"
 
@@ -50,13 +54,13 @@ def main(arguments: list[str]) -> int:
     """Run the command."""
     parser = _parser()
     options = parser.parse_args(arguments)
-    if options.watch and options.output in ("json", "yaml"):
+    if options.watch and options.output in ("json", "yaml", "name"):
         parser.error(
-            "-w cannot be combined with JSON or YAML; scripts can use kubectl wait --for=condition=Protected robotworkload/NAME"
+            "-w cannot be combined with JSON, YAML or names; scripts can use kubectl wait --for=condition=Protected robotworkload/NAME"
         )
     try:
         kubectl = Kubectl(options)
-        reader = _ClusterReader(kubectl, options.names, everywhere=options.all_namespaces)
+        reader = _ClusterReader(kubectl, chosen(options), everywhere=options.all_namespaces)
         if options.watch:
             return _watch(reader, wide=options.output == "wide")
         return _once(reader, options.output)
@@ -67,8 +71,10 @@ def main(arguments: list[str]) -> int:
 class _ClusterReader:
     """Requests robots, pools, and the gates if the user may read them."""
 
-    def __init__(self, kubectl: Kubectl, names: Sequence[str], *, everywhere: bool) -> None:
-        self.kubectl, self.everywhere, self._names = kubectl, everywhere, names
+    def __init__(self, kubectl: Kubectl, chosen: Sequence[str], *, everywhere: bool) -> None:
+        """``chosen`` are kubectl's arguments for some robots: their names, or a selector; all robots and pools without it."""
+        self.kubectl, self.everywhere, self._chosen = kubectl, everywhere, chosen
+        self._names = [] if "-l" in chosen else chosen
         self.where = ["-A"] if everywhere else []
         self._refused = -math.inf
 
@@ -76,8 +82,8 @@ class _ClusterReader:
         """Return the current robots and pools. Raises CommandError, also if there is no robot."""
         # The gates first: otherwise a recovery that ends between the two requests would be shown as under way.
         gates = self._gates()
-        kinds = WORKLOADS if self._names else f"{WORKLOADS},{POOLS}"
-        found = self.kubectl.get(kinds, *self._names, *self.where)
+        kinds = WORKLOADS if self._chosen else f"{WORKLOADS},{POOLS}"
+        found = self.kubectl.get(kinds, *self._chosen, *self.where)
         items = sorted(found.get("items", [found]), key=_key)
         now = time.time()
         robots = [
@@ -85,7 +91,8 @@ class _ClusterReader:
         ]
         if not robots:
             where = "the cluster" if self.everywhere else "this namespace (use -n NAMESPACE or -A)"
-            raise CommandError(f"there is no RobotWorkload in {where}")
+            which = f" with labels {self._chosen[1]}" if "-l" in self._chosen else ""
+            raise CommandError(f"there is no RobotWorkload{which} in {where}")
         return robots, [pool(item) for item in items if item["kind"] == "FallbackPool"]
 
     def _gates(self) -> Mapping[tuple[str, str], Object]:
@@ -116,6 +123,8 @@ def _once(reader: _ClusterReader, output: str) -> int:
     if output in ("json", "yaml"):
         written = {"robots": [one.to_wire() for one in robots], "pools": [one.to_wire() for one in pools]}
         print(structured(written, output))
+    elif output == "name":
+        print("\n".join(f"{NAMED}/{one.name}" for one in robots))
     else:
         print("\n".join(status_screen.lines(robots, pools, _layout(sys.stdout, reader, wide=output == "wide"))))
     return _exit_status(robots)
@@ -125,7 +134,7 @@ def _watch(reader: _ClusterReader, *, wide: bool) -> int:
     """Show every change until Ctrl-C. The exit status refers to what was shown last."""
     robots: list[Robot] = []
     answered = time.monotonic()
-    screen = sys.stdout.isatty()
+    screen = terminal.redraws(sys.stdout)
     shown = _Screen(reader, wide=wide) if screen else _Lines()
     taken = terminal.screen(sys.stdout) if screen else contextlib.nullcontext()
     try:
@@ -234,14 +243,15 @@ def _parser() -> argparse.ArgumentParser:
         epilog="Exit status: 0 if every robot shown is protected (the monitor watches it, and the first strategy of its policy could run "
         "now) and healthy (or degraded), 1 if one is not, 2 on an error or if there is none.",
     )
+    add_examples(parser, "understudy status -n fleet", "understudy status -A -l app=navigation --watch")
     add_robots(parser)
     parser.add_argument("-w", "--watch", action="store_true", help="keep updating until Ctrl-C")
     parser.add_argument(
         "-o",
         "--output",
-        choices=["text", "wide", "json", "yaml"],
+        choices=["text", "wide", "json", "yaml", "name"],
         default="text",
-        help="text, text with more columns, or all details as JSON or YAML",
+        help="text, text with more columns, all details as JSON or YAML, or only the names of the robots, as kubectl prints them",
     )
     add_options(parser, all_namespaces=True)
     return parser

@@ -57,6 +57,7 @@ def _parser() -> argparse.ArgumentParser:
         "detail, with the parts of their time drawn to scale, the time of each step, the restored state and failed attempts.",
         epilog="Exit status: 0 if they were shown, 2 if they could not be read.",
     )
+    option_rules.add_examples(parser, "understudy timeline robot-1 -n fleet", "understudy timeline robot-1 --last 3")
     add_robot(parser)
     parser.add_argument(
         "--last", metavar="N", type=option_rules.whole(1), help=f"how many are shown in detail (default: {EACH})"

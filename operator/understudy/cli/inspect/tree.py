@@ -14,7 +14,7 @@ from understudy.api import names
 from understudy.api.output_formats import structured
 from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options, add_robot
 from understudy.cli.common.errors import CommandError, reports_errors
-from understudy.cli.common.option_rules import add_output
+from understudy.cli.common.option_rules import add_examples, add_output
 from understudy.cli.common.text import terminal
 from understudy.cli.common.text.tree_text import Rates, lines
 from understudy.controller.observed import kube_objects
@@ -98,7 +98,7 @@ def _once(kubectl: Kubectl, workload: str, output: str) -> int:
 
 def _watch(kubectl: Kubectl, workload: str) -> int:
     """Redraw until Ctrl-C, also if the monitor is replaced meanwhile."""
-    screen, colours = sys.stdout.isatty(), terminal.colours(sys.stdout)
+    screen, colours = terminal.redraws(sys.stdout), terminal.colours(sys.stdout)
     rates, health = Rates(), ""
     answered = time.monotonic()
     try:
@@ -147,6 +147,7 @@ def _parser() -> argparse.ArgumentParser:
         "to forward ports to pods. It changes nothing.",
         epilog="Exit status: 0 if the workload is healthy, 1 if it is not, 2 if this cannot be determined.",
     )
+    add_examples(parser, "understudy tree robot-1 -n fleet --watch", "understudy tree robot-1 --web")
     add_robot(parser)
     how = parser.add_mutually_exclusive_group()
     how.add_argument("-w", "--watch", action="store_true", help="keep updating until Ctrl-C")

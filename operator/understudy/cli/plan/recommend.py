@@ -109,6 +109,9 @@ def _parser() -> argparse.ArgumentParser:
         epilog="Exit status: 0, or 1 if the requirements cannot be met, or 2 on an error. The rules and the "
         "figures are in docs/choosing.md.",
     )
+    option_rules.add_examples(
+        parser, "understudy recommend fleet/", "understudy recommend fleet/ --availability High --plot tradeoff.png"
+    )
     parser.add_argument(
         "files",
         nargs="+",

@@ -66,6 +66,11 @@ def _parser() -> argparse.ArgumentParser:
         "--restart and --fallback-cpu follow this paper: Mirus, Pasch, Singhal, Scholl, A generic approach for "
         "reactive stateful mitigation of application failures in distributed robotics systems deployed with Kubernetes.",
     )
+    option_rules.add_examples(
+        parser,
+        "understudy size --robots 100 --failures-per-robot-hour 0.1 --recovery 6s --fallbacks 3",
+        "understudy size --robots 100 --failures-per-robot-hour 0.1 --recovery 6s --risk 1% --plot size.png",
+    )
     parser.add_argument(
         "--robots", type=option_rules.whole(1, 10_000_000), required=True, help="number of robots that share the pool"
     )

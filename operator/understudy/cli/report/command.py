@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from understudy.api import base, names
-from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options, add_robots
+from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options, add_robots, chosen
 from understudy.cli.common.errors import CommandError, reports_errors
+from understudy.cli.common.option_rules import add_examples
 from understudy.cli.common.text.wording import clock, counted, moment
 from understudy.cli.report.csv_sheets import sheets
 from understudy.cli.report.page import page
@@ -40,7 +41,7 @@ def main(arguments: list[str]) -> int:
 
 def _robots(kubectl: Kubectl, options: argparse.Namespace) -> Sequence[Mapping[str, Any]]:
     """Return the selected RobotWorkloads. Raises CommandError, also if there are none."""
-    answer = kubectl.get(WORKLOADS, *options.names, *(["-A"] if options.all_namespaces else []))
+    answer = kubectl.get(WORKLOADS, *chosen(options), *(["-A"] if options.all_namespaces else []))
     items: list[Mapping[str, Any]] = answer.get("items", [answer])
     if items:
         return items
@@ -97,7 +98,7 @@ def _moment(option: str, text: str) -> float:
 
 
 def _where(found: Findings, options: argparse.Namespace) -> str:
-    if options.names:
+    if options.names or options.selector:
         return ", ".join(found.named(robot_period.robot) for robot_period in found.robot_periods)
     namespaces = sorted({robot_period.robot.namespace for robot_period in found.robot_periods})
     return "all namespaces" if options.all_namespaces else f"namespace {namespaces[0]}"
@@ -130,6 +131,11 @@ def _parser() -> argparse.ArgumentParser:
         "status of the RobotWorkloads, which contains the last ten recoveries of each robot; the report says for "
         "which time they are incomplete. The command changes nothing in the cluster.",
         epilog="Exit status: 0 if the report was written, 2 if not: kubectl failed, a name does not exist, or there is no robot.",
+    )
+    add_examples(
+        parser,
+        "understudy report -n fleet --since 168h -o week.html",
+        "understudy report robot-1 --from 2026-11-01 --to 2026-12-01 --csv november/",
     )
     add_robots(parser)
     begin = parser.add_mutually_exclusive_group()

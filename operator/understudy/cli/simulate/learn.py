@@ -120,6 +120,11 @@ def _parser() -> argparse.ArgumentParser:
         epilog="Exit status: 0 if the proposed leaves succeed during the whole recording, 1 if they do not, 2 on "
         "an error.",
     )
+    option_rules.add_examples(
+        parser,
+        "understudy learn --bag drive/ --topic /cmd_vel",
+        "understudy learn --bag drive/ --topic /cmd_vel --topic /scan --factor 3",
+    )
     parser.add_argument("--bag", required=True, metavar="BAG", help="a rosbag2 folder, or an .mcap or .db3 file")
     parser.add_argument(
         "--topic", required=True, action="append", metavar="NAME", help="a topic to learn; may be given several times"

@@ -8,7 +8,7 @@ from pathlib import Path
 from understudy.api.output_formats import structured
 from understudy.cli.common import plot_files
 from understudy.cli.common.errors import CommandError, reports_errors
-from understudy.cli.common.option_rules import add_output
+from understudy.cli.common.option_rules import add_examples, add_output
 from understudy.cli.common.text import terminal
 from understudy.cli.simulate import fault_times, policy_file
 from understudy.cli.simulate.bags import Bag
@@ -56,6 +56,11 @@ def _parser() -> argparse.ArgumentParser:
         description="Evaluates the health tree of a FailurePolicy over a recorded bag, with its debounce and startup grace, and reports "
         "what would have been detected and when. It needs neither a cluster nor ROS, but the extra understudy[bags].",
         epilog="Exit status: 0 if nothing would have been detected, 1 if something would, 2 on an error.",
+    )
+    add_examples(
+        parser,
+        "understudy simulate policy.yaml --bag drive/",
+        "understudy simulate policy.yaml --bag drive/ --onset 42.5 --plot detection.png",
     )
     policy_file.add_options(parser)
     parser.add_argument("--bag", required=True, metavar="BAG", help="a rosbag2 folder, or an .mcap or .db3 file")

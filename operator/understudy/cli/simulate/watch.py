@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 from understudy.api.base import seconds
 from understudy.api.plain_text import plain
 from understudy.cli.common.errors import CommandError, reports_errors
+from understudy.cli.common.option_rules import add_examples
+from understudy.cli.common.text import terminal
 from understudy.cli.simulate import policy_file
 from understudy.cli.simulate.leaf_history import Evaluation
 from understudy.cli.simulate.live_screen import Display, Lines, Screen, describe
@@ -143,7 +145,7 @@ def _evaluate(
 
 
 def _display(policy: Policy) -> Display:
-    if not sys.stdout.isatty():
+    if not terminal.redraws(sys.stdout):
         return Lines(sys.stdout)
     domain = os.environ.get("ROS_DOMAIN_ID", "0")
     return Screen(sys.stdout, f"{policy.name} in ROS domain {domain}")
@@ -161,6 +163,7 @@ def _parser() -> argparse.ArgumentParser:
         "otherwise it prints one line per change.",
         epilog="Exit status: 0 if no failure was detected, 1 if one was, 2 on an error.",
     )
+    add_examples(parser, "understudy watch policy.yaml --grace 3s", "understudy watch policy.yaml --for 30s")
     policy_file.add_options(parser)
     parser.add_argument(
         "--for", dest="length", type=_duration, metavar="DURATION", help="end after this time, such as 30s"

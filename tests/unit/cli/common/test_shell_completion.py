@@ -53,6 +53,10 @@ def answered_to_kubectl(*words: str) -> list[str]:
     [
         ("understudy fen", ["fence"]),
         ("understudy mon", []),
+        ("understudy vers", ["version"]),
+        ("understudy -n fleet fen", ["fence"]),
+        ("understudy --context=lab -n fleet inject robot-1 fre", ["freeze"]),
+        ("understudy status -l app", ["app=navigation"]),
         ("understudy status --all", ["--all-namespaces"]),
         ("understudy inject robot-1 fre", ["freeze"]),
         ("understudy completion z", ["zsh"]),
@@ -102,6 +106,8 @@ def test_file_arguments_are_completed_from_the_folder(
 
 def test_names_come_from_the_namespace_on_the_command_line(stand: FakeKubectl, tmp_path: Path) -> None:
     completed("understudy explain -n hall-2 --context lab robot", tmp_path)
+    assert stand.asked[-1].startswith("--namespace=hall-2 --context=lab get robotworkloads.understudy.dev")
+    completed("understudy -n hall-2 --context lab explain robot", tmp_path)
     assert stand.asked[-1].startswith("--namespace=hall-2 --context=lab get robotworkloads.understudy.dev")
 
 

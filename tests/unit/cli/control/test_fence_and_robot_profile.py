@@ -51,6 +51,17 @@ def test_fence_closes_the_gate_and_pauses_recovery(stand: FakeKubectl, capsys: p
     assert "robotworkloads" in written[0], "a monitor that knows of no pause would open it again"
 
 
+def test_a_server_dry_run_fences_nothing_and_asks_nothing(
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stand.tell(fleet.around(fleet.well()))
+    before = GateRecord.of(stand.item(GATE))
+    assert fence.main([ROBOT, *REASON, "--dry-run=server"]) == 0
+    assert GateRecord.of(stand.item(GATE)) == before
+    assert "pause" not in stand.item(ROBOT)["spec"]
+    assert capsys.readouterr().out.splitlines()[-1].endswith("(server dry run: nothing was changed)")
+
+
 def test_fence_of_a_robot_with_a_mux_says_when_it_has_an_effect(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -34,6 +34,23 @@ def test_pause_records_reason_owner_and_end(
     )
 
 
+def test_several_robots_are_paused_and_resumed_at_once(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
+    robots = [ROBOT, "rw/robot-18-navigation"]
+    assert pause.main([*robots, "--reason", "floor is cleaned"]) == 0
+    assert [stand.item(name)["spec"]["pause"]["reason"] for name in (ROBOT, "robot-18-navigation")] == [
+        "floor is cleaned"
+    ] * 2
+    assert resume.main(robots) == 0
+    assert not any("pause" in stand.item(name)["spec"] for name in (ROBOT, "robot-18-navigation"))
+    assert len(capsys.readouterr().out.splitlines()) == 4
+
+
+def test_a_server_dry_run_pauses_nothing(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
+    assert pause.main([ROBOT, "--reason", "a rehearsal", "--dry-run=server"]) == 0
+    assert "pause" not in stand.item(ROBOT)["spec"]
+    assert capsys.readouterr().out.endswith(" (server dry run: nothing was changed)\n")
+
+
 def test_the_user_owns_a_pause_by_default_and_its_end_is_optional(stand: FakeKubectl) -> None:
     assert pause.main([ROBOT, "--reason", "a new gripper", "--until", "2099-01-01T00:00:00+01:00"]) == 0
     assert stand.item(ROBOT)["spec"]["pause"]["owner"] == getpass.getuser()

@@ -23,7 +23,7 @@ import yaml
 from tests.support import fleet
 from tests.support.fake_kubectl import FakeKubectl
 from tests.support.golden import assert_golden
-from understudy.cli.common.text.terminal import BEGIN, END
+from understudy.cli.common.text.terminal import BEGIN, COLOR, END
 from understudy.cli.inspect.status import REFRESH, main
 
 REPOSITORY = Path(__file__).parents[4]
@@ -49,6 +49,26 @@ def test_the_status_shows_the_fleet_on_one_screen(
     assert gates.startswith(f"--namespace=fleet --context=lab get {GATES} {ours} -o json"), (
         "and before the robots: what their status tells of isn't under way"
     )
+
+
+def test_robots_can_be_selected_by_labels(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["-l", "app=navigation", "-o", "name"]) == 1
+    assert capsys.readouterr().out.splitlines() == [
+        f"robotworkload.understudy.dev/robot-{number}-navigation" for number in (17, 18, 19)
+    ]
+    assert "get robotworkloads.understudy.dev -l app=navigation -o json" in stand.asked[-1]
+    assert main(["-l", "app=other"]) == 2
+    assert "there is no RobotWorkload with labels app=other in this namespace" in capsys.readouterr().err
+
+
+def test_names_and_labels_exclude_each_other(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["robot-17-navigation", "-l", "app=navigation"]) == 2
+    assert "give either names or -l/--selector" in capsys.readouterr().err
+
+
+def test_user_and_timeout_are_passed_to_kubectl(stand: FakeKubectl) -> None:
+    assert main(["--as", "ann", "--request-timeout", "1m"]) == 1
+    assert all(line.startswith("--as=ann get ") and line.endswith("--request-timeout=60s") for line in stand.asked)
 
 
 def test_robots_can_be_selected_by_name(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
@@ -304,6 +324,19 @@ def test_robots_can_be_watched_without_the_right_to_read_gates(stand: FakeKubect
 @pytest.mark.parametrize("watching", [{"terminal": True, "environment": {"NO_COLOR": "1"}}], indirect=True)
 def test_colours_can_be_disabled(watching: Watching) -> None:
     assert "\x1b[32m" not in watching.until("3 robots: 1 not protected")
+
+
+@pytest.mark.parametrize("watching", [{"terminal": True, "environment": {"TERM": "dumb"}}], indirect=True)
+def test_a_terminal_without_control_sequences_gets_lines(watching: Watching) -> None:
+    assert "\x1b" not in watching.until("fleet/robot-19-navigation; Healthy; NOT PROTECTED")
+
+
+def test_colours_can_be_had_without_a_terminal(
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(COLOR, "always")
+    assert main([]) == 1
+    assert "\x1b[32m" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("watching", [{"terminal": False}], indirect=True)

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from understudy.cli.common import shell_completion
+from understudy.cli.common import option_rules, shell_completion
 from understudy.cli.common.cluster_access.kubectl_watch import Watch, waiting
 from understudy.cli.common.errors import CommandError, Forbidden
 from understudy.kube.decoding import decode
@@ -62,9 +62,34 @@ def add_robot(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("name", metavar="NAME", type=_robot, help="the RobotWorkload, such as robot-1 or rw/robot-1")
 
 
-def add_robots(parser: argparse.ArgumentParser) -> None:
-    """Add the names of any number of RobotWorkloads."""
+def add_robots(parser: argparse.ArgumentParser, *, required: bool = False) -> None:
+    """Add the names of RobotWorkloads: at least one, or any number and the option to select them by labels (:func:`chosen`)."""
+    if required:
+        parser.add_argument(
+            "names", metavar="NAME", type=_robot, nargs="+", help="a RobotWorkload, such as robot-1 or rw/robot-1"
+        )
+        return
     parser.add_argument("names", metavar="NAME", type=_robot, nargs="*", help="a RobotWorkload (default: all)")
+    parser.add_argument(
+        "-l", "--selector", help="only RobotWorkloads with these labels, such as app=navigation,site!=lab"
+    )
+
+
+def chosen(options: argparse.Namespace) -> list[str]:
+    """Return the arguments with which kubectl gets the RobotWorkloads of :func:`add_robots`. Raises CommandError."""
+    if options.names and options.selector:
+        raise CommandError("give either names or -l/--selector: a name selects a RobotWorkload whatever its labels are")
+    return ["-l", options.selector] if options.selector else list(options.names)
+
+
+def add_dry_run(parser: argparse.ArgumentParser) -> None:
+    """Add ``--dry-run``, which :class:`Kubectl` passes on with every change."""
+    parser.add_argument(
+        "--dry-run",
+        choices=["none", "server"],
+        default="none",
+        help="server: the API server checks the change and stores nothing (default: none)",
+    )
 
 
 def _robot(text: str) -> str:
@@ -85,10 +110,19 @@ def add_options(parser: argparse.ArgumentParser, *, all_namespaces: bool = False
         where.add_argument("-A", "--all-namespaces", action="store_true", help="all namespaces")
     parser.add_argument("--context", help="context of the kubeconfig")
     parser.add_argument("--kubeconfig", help="path of the kubeconfig")
+    parser.add_argument("--as", dest="impersonated", metavar="USER", help="user to act as, if you may impersonate it")
+    parser.add_argument(
+        "--request-timeout",
+        metavar="DURATION",
+        type=option_rules.duration,
+        default=TIMEOUT,
+        help=f"how long a request to the API server may take, such as 1m (default: {TIMEOUT:g}s)",
+    )
     completers = {
         "NAME": _completer(lambda kubectl: kubectl.names(WORKLOADS)),
         "NAMESPACE": _completer(lambda kubectl: kubectl.names("namespaces")),
         "CONTEXT": _completer(Kubectl.contexts),
+        "SELECTOR": _completer(lambda kubectl: kubectl.labels(WORKLOADS)),
     }
     shell_completion.offer(parser, completers)
 
@@ -112,8 +146,13 @@ class Kubectl:
         """``options`` holds the options of :func:`add_options`. Raises CommandError if kubectl is not installed."""
         if shutil.which("kubectl") is None:
             raise CommandError("kubectl is not on the PATH; install it, because all requests to the cluster use it")
+        given = vars(options)
         where = {"namespace": options.namespace, "context": options.context, "kubeconfig": options.kubeconfig}
+        where["as"] = given.get("impersonated")
         self._options = [f"--{key}={value}" for key, value in where.items() if value]
+        self._timeout: float = given.get("request_timeout") or TIMEOUT
+        self.dry_run = given.get("dry_run") == "server"
+        """Whether changes are only checked (:func:`add_dry_run`)."""
         self._namespace_option: str | None = options.namespace
         self._stdin: int | None = subprocess.DEVNULL
         """Closed, because nobody would see a question that kubectl itself asks, such as for a user name."""
@@ -134,6 +173,11 @@ class Kubectl:
         """Return the names of the objects of a kind. Raises CommandError with kubectl's message."""
         return [item["metadata"]["name"] for item in self.get(kind)["items"]]
 
+    def labels(self, kind: str) -> list[str]:
+        """Return the labels of the objects of a kind, each as ``KEY=VALUE``. Raises CommandError with kubectl's message."""
+        found = (item["metadata"].get("labels") or {} for item in self.get(kind)["items"])
+        return sorted({f"{key}={value}" for labels in found for key, value in labels.items()})
+
     def command(self, *arguments: str) -> list[str]:
         """Return the command line of a kubectl process that runs in parallel to other requests."""
         return ["kubectl", *self._options, *arguments]
@@ -149,11 +193,19 @@ class Kubectl:
 
     def patch(self, kind: str, name: str, body: Any) -> Any:
         """Change an object by a merge patch and return the result. Raises CommandError with kubectl's message."""
-        return decode(self._run("patch", kind, name, "--type=merge", "-p", json.dumps(body), "-o", "json"))
+        asked = ["patch", kind, name, "--type=merge", "-p", json.dumps(body), "-o", "json"]
+        return decode(self._run(*asked, *self._unstored()))
 
     def annotate(self, kind: str, name: str, note: str, value: str) -> None:
         """Set an annotation of an object. Raises CommandError with kubectl's message."""
-        self._run("annotate", kind, name, "--overwrite", f"{note}={value}")
+        self._run("annotate", kind, name, "--overwrite", f"{note}={value}", *self._unstored())
+
+    def shown(self, result: str) -> str:
+        """Return a result, with a remark if nothing was stored, as kubectl prints it."""
+        return f"{result} (server dry run: nothing was changed)" if self.dry_run else result
+
+    def _unstored(self) -> list[str]:
+        return ["--dry-run=server"] if self.dry_run else []
 
     def execute(self, pod: str, container: str, *program: str) -> str:
         """Run a program in a container and return its output. Raises CommandError with its message, or kubectl's."""
@@ -179,7 +231,7 @@ class Kubectl:
         return self._run("get", kind, *arguments, "-o", "json")
 
     def _run(self, *arguments: str) -> str:
-        command = [*self.command(*arguments), f"--request-timeout={TIMEOUT:g}s"]
+        command = [*self.command(*arguments), f"--request-timeout={self._timeout:g}s"]
         status, output, errors = _run_command(command, self._stdin)
         if status and _CREDENTIALS in errors and self._stdin is not None and _is_interactive():
             self._stdin = None

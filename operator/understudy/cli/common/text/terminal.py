@@ -13,6 +13,9 @@ from typing import Any, TextIO, cast
 
 from understudy.api.plain_text import plain
 
+COLOR = "UNDERSTUDY_COLOR"
+"""Environment variable with auto, always or never: what the option ``--color`` sets."""
+
 BEGIN, END = "\x1b[?1049h\x1b[?25l", "\x1b[?25h\x1b[?1049l"
 """Switch to the alternate screen and hide the cursor; and the reverse."""
 
@@ -69,8 +72,16 @@ def guarded_output() -> Iterator[None]:
 
 
 def colours(out: TextIO) -> bool:
-    """Return whether to use colours: only in a terminal, and not if NO_COLOR is set (https://no-color.org)."""
-    return out.isatty() and not os.environ.get("NO_COLOR")
+    """Return whether to use colours. By default only in a terminal that can show them, and not if NO_COLOR is set (https://no-color.org)."""
+    asked = os.environ.get(COLOR)
+    if asked in ("always", "never"):
+        return asked == "always"
+    return redraws(out) and not os.environ.get("NO_COLOR")
+
+
+def redraws(out: TextIO) -> bool:
+    """Return whether the screen can be redrawn: it is a terminal, and not one without control sequences."""
+    return out.isatty() and os.environ.get("TERM") != "dumb"
 
 
 def columns(out: TextIO) -> int | None:
