@@ -1,4 +1,4 @@
-"""``understudy learn --bag BAG --topic NAME``: proposes leaves for topics, with bounds from a healthy recording.
+"""``understudy learn --bag BAG [--topic NAME]``: proposes leaves for topics, with bounds from a healthy recording.
 
 It only prints them: people must decide whether the recording was healthy and how much deviation is acceptable.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import sys
 from array import array
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from understudy.api.plain_text import plain
@@ -16,6 +16,7 @@ from understudy.cli.common import option_rules
 from understudy.cli.common.errors import CommandError, reports_errors
 from understudy.cli.common.text.wording import wall
 from understudy.cli.simulate.bags import Bag
+from understudy.cli.simulate.command_topics import command_topics
 from understudy.cli.simulate.leaf_history import Failure
 from understudy.cli.simulate.learned_bounds import FACTOR, FEWEST, MARGIN, Bounds, Measures, measured, proposed
 from understudy.cli.simulate.replay import replay
@@ -33,7 +34,8 @@ def main(arguments: list[str]) -> int:
     """Run the command. The leaves go to standard output."""
     options = _parser().parse_args(arguments)
     with Bag.open(options.bag) as bag:
-        learned = [_learn(bag, name, options.factor, options.margin) for name in dict.fromkeys(options.topic)]
+        topics = options.topic or _commands(bag)
+        learned = [_learn(bag, name, options.factor, options.margin) for name in dict.fromkeys(topics)]
         failures = _tried([leaf for leaf, _, _ in learned], bag)
         for line in _text(bag, learned, options.factor, options.margin):
             print(plain(line))
@@ -49,6 +51,16 @@ def main(arguments: list[str]) -> int:
 Learned = tuple[dict[str, Any], Measures, Bounds]
 
 
+def _commands(bag: Bag) -> list[str]:
+    """Return the topics that look like commands to a robot. Raises CommandError if there is none."""
+    found = command_topics({name: topic.types[0] for name, topic in bag.topics.items() if len(topic.types) == 1})
+    if not found:
+        raise CommandError(
+            f"{bag.path}: no topic looks like commands to a robot; name topics with --topic: {', '.join(sorted(bag.topics))}"
+        )
+    return found
+
+
 def _learn(bag: Bag, name: str, factor: float, margin: float) -> Learned:
     """Learn the leaf of a topic. Raises CommandError."""
     topic = bag.topics.get(name)
@@ -59,14 +71,21 @@ def _learn(bag: Bag, name: str, factor: float, margin: float) -> Learned:
             f"{bag.path}: {name} was recorded as {' and as '.join(topic.types)}; a topic must have one type"
         )
     arrivals = array("d", (taken.received for taken in bag.messages({name: topic.types[0]})))
+    return learned_leaf(bag.path, name, topic.types[0], arrivals, factor, margin)
+
+
+def learned_leaf(
+    source: str, name: str, type_name: str, arrivals: Sequence[float], factor: float = FACTOR, margin: float = MARGIN
+) -> Learned:
+    """Return a leaf for a topic with these times of receipt, with what it was learned from. Raises CommandError."""
     if len(arrivals) < FEWEST or arrivals[-1] <= arrivals[0]:
         raise CommandError(
-            f"{bag.path}: the bag has {len(arrivals)} messages of {name}; at least {FEWEST} are required, better "
+            f"{source}: there are {len(arrivals)} messages of {name}; at least {FEWEST} are required, better "
             "thousands: give a longer recording"
         )
     measures = measured(arrivals)
     bounds = proposed(arrivals, measures, factor, margin)
-    leaf: dict[str, Any] = {"name": name, "type": topic.types[0], "gap": _written(bounds.gap)}
+    leaf: dict[str, Any] = {"name": name, "type": type_name, "gap": _written(bounds.gap)}
     if bounds.band is not None:
         leaf |= {"rate": str(bounds.band), "window": _written(bounds.window)}
     return leaf, measures, bounds
@@ -90,16 +109,21 @@ def _text(bag: Bag, learned: list[Learned], factor: float, margin: float) -> Ite
     )
     yield "parallel:"
     for leaf, measures, bounds in learned:
-        yield (
-            f"  # {measures.count} messages, {hertz(measures.rate)}; gaps: median {_duration_text(measures.median)}, "
-            f"p99.9 {_duration_text(measures.quantile)}, longest {_duration_text(measures.longest)}"
-        )
-        if bounds.band is not None:
-            yield f"  # over {duration(bounds.window)}: {hertz(bounds.slowest)} to {hertz(bounds.fastest)}"
-        else:
-            yield f"  # no bounds over {duration(bounds.window)}: the rate varies too much, or the recording is shorter"
-        fields = ", ".join(f"{key}: {value}" for key, value in leaf.items())
-        yield f"  - topic: {{{fields}}}"
+        yield from (f"  {line}" for line in leaf_lines(leaf, measures, bounds))
+
+
+def leaf_lines(leaf: Mapping[str, Any], measures: Measures, bounds: Bounds) -> Iterator[str]:
+    """Yield a learned leaf as an item of a list in YAML, with comments on what it was learned from."""
+    yield (
+        f"# {measures.count} messages, {hertz(measures.rate)}; gaps: median {_duration_text(measures.median)}, "
+        f"p99.9 {_duration_text(measures.quantile)}, longest {_duration_text(measures.longest)}"
+    )
+    if bounds.band is not None:
+        yield f"# over {duration(bounds.window)}: {hertz(bounds.slowest)} to {hertz(bounds.fastest)}"
+    else:
+        yield f"# no bounds over {duration(bounds.window)}: the rate varies too much, or the recording is shorter"
+    fields = ", ".join(f"{key}: {value}" for key, value in leaf.items())
+    yield f"- topic: {{{fields}}}"
 
 
 def _duration_text(seconds: float) -> str:
@@ -122,12 +146,15 @@ def _parser() -> argparse.ArgumentParser:
     )
     option_rules.add_examples(
         parser,
-        "understudy learn --bag drive/ --topic /cmd_vel",
+        "understudy learn --bag drive/",
         "understudy learn --bag drive/ --topic /cmd_vel --topic /scan --factor 3",
     )
     parser.add_argument("--bag", required=True, metavar="BAG", help="a rosbag2 folder, or an .mcap or .db3 file")
     parser.add_argument(
-        "--topic", required=True, action="append", metavar="NAME", help="a topic to learn; may be given several times"
+        "--topic",
+        action="append",
+        metavar="NAME",
+        help="a topic to learn; may be given several times (default: those that look like commands to a robot)",
     )
     parser.add_argument(
         "--factor",

@@ -42,6 +42,18 @@ def failures(bag: Path, tree: dict[str, Any]) -> list[str]:
         return [one.reason for one in replay(load(tree), 0.0, opened).evaluation.detections]
 
 
+def test_without_topics_the_commands_are_learned(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    named = [*every("/arm/command", "std_msgs/msg/Float64MultiArray", 0, 5, 20), *every("/cmd_vel", TWIST, 0, 5, 20)]
+    others = [
+        *every("/level", "std_msgs/msg/Float64", 0, 5, 20),
+        *every("/scan", "sensor_msgs/msg/LaserScan", 0, 5, 20),
+    ]
+    _, tree, _ = learn(capsys, "--bag", str(write(tmp_path / "all", sorted([*named, *others], key=lambda one: one.at))))
+    assert [leaf["topic"]["name"] for leaf in tree["parallel"]] == ["/arm/command", "/cmd_vel"]
+    assert main(["--bag", str(write(tmp_path / "none", sorted(others, key=lambda one: one.at)))]) == 2
+    assert "no topic looks like commands to a robot; name topics with --topic: /level, /scan" in capsys.readouterr().err
+
+
 def test_learnt_leaves_pass_their_recording_and_fail_slower_faster_or_silent_ones(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -77,7 +89,7 @@ def test_bounds_that_the_recording_violates_are_reported_with_status_1(
     ("arguments", "message"),
     [
         (["--topic", "/aa"], "the bag has no topic '/aa', did you mean '/a'?"),
-        (["--topic", "/few"], "the bag has 3 messages of /few; at least 20 are required"),
+        (["--topic", "/few"], "there are 3 messages of /few; at least 20 are required"),
     ],
 )
 def test_input_without_anything_to_learn_ends_with_status_2(
