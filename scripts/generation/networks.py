@@ -61,7 +61,7 @@ _HANDOVERS = ("Switch", "BreakBeforeMake")
 
 def summary(results: Path) -> str:
     """Return what is known of each network, with p50 and p95 of a switch in ms, as Markdown."""
-    columns = ("network", "established flows", "switch, p50 / p95", "NetworkPolicies as the gate")
+    columns = ("network", "flows that exist at a change", "switch, p50 / p95", "NetworkPolicies as the gate")
     lines = [f"| {' | '.join(columns)} | [mux](docs/mux.md) as the gate |", "| --- | --- | --- | --- | --- |"]
     bench, figure = _COLUMNS["switch"]
     for one in _NETWORKS:
