@@ -6,6 +6,7 @@ A pod of which only the identity exists counts like any other peer. Which of the
 
 from __future__ import annotations
 
+import itertools
 import json
 import time
 from collections.abc import Iterator
@@ -22,7 +23,7 @@ pytestmark = [pytest.mark.local_only, pytest.mark.network_policy, pytest.mark.lo
 
 PEERS = 1000
 FIRST = 40_000
-"""Number of the first identity. Cilium gives pods numbers from 256 to 65535."""
+"""From which number on the identities are. Cilium gives pods numbers from 256 to 65535."""
 
 CROWD = "e2e-crowd"
 """Label of the identities."""
@@ -38,12 +39,13 @@ def crowd(executing: Robot, gate_kind: str) -> Iterator[None]:
     if gate_kind == "Mux":
         pytest.skip("a mux needs no policies")
     try:
-        kubectl.list("ciliumidentities")
+        taken = {one["metadata"]["name"] for one in kubectl.list("ciliumidentities")}
     except Failed:
         pytest.skip("the network is not Cilium")
     executing.wait_protected()
     executing.wait_standby()
-    peers = [_identity(str(FIRST + number), kubectl.namespace) for number in range(PEERS)]
+    free = (name for name in map(str, itertools.count(FIRST)) if name not in taken)
+    peers = [_identity(name, kubectl.namespace) for name in itertools.islice(free, PEERS)]
     given = json.dumps({"apiVersion": "v1", "kind": "List", "items": peers})
     try:
         kubectl("create", "--validate=false", "-f", "-", given=given, timeout=300)
