@@ -93,14 +93,12 @@ class Application:
         """Whether its pods use the network of their node."""
         return at(self._pod, "hostNetwork") is True
 
-    def variable(self, name: str) -> str:
-        """Return the value that its containers give an environment variable; empty if none does in its own text."""
-        found = (at(one, "value") for container in self.containers for one in _named(container, name))
-        return next((value for value in found if isinstance(value, str)), "")
-
-    def lacks(self, name: str) -> bool:
-        """Whether a container does not set an environment variable itself."""
-        return any(not _named(container, name) for container in self.containers)
+    @property
+    def environment(self) -> dict[str, str]:
+        """The variables that its containers set to a text of their own, those of the first container last."""
+        variables = (one for container in reversed(self.containers) for one in items(container, "env"))
+        pairs = ((at(one, "name"), at(one, "value")) for one in variables)
+        return {name: value for name, value in pairs if isinstance(name, str) and isinstance(value, str)}
 
     @property
     def _pod(self) -> Any:
@@ -123,8 +121,10 @@ def _without_defaults(spec: Any) -> dict[str, Any]:
     return {**kept, "containers": containers}
 
 
-def _named(container: Mapping[str, Any], name: str) -> list[Any]:
-    return [one for one in items(container, "env") if at(one, "name") == name]
+def lacking(container: Mapping[str, Any], variables: Iterable[str]) -> list[str]:
+    """Return which of these environment variables a container does not set."""
+    there = {at(one, "name") for one in items(container, "env")}
+    return [name for name in variables if name not in there]
 
 
 def from_files(files: Iterable[str], wanted: Reference) -> Application:

@@ -17,8 +17,7 @@ from understudy.cli.init.observed_topics import Observed
 from understudy.cli.init.written_files import GAP, OBJECTS, Draft, GateKind, files, next_steps
 from understudy.cli.simulate.command_topics import command_topics
 from understudy.cli.simulate.learn import leaf_lines, learned_leaf
-
-DEFAULT_RMW = "rmw_fastrtps_cpp"
+from understudy.ros.rmw import MIDDLEWARE
 
 
 @reports_errors("init")
@@ -56,9 +55,9 @@ def _refuse(application: Application) -> None:
         raise CommandError(
             f"{name} has {application.replicas} replicas, and one robot is driven by one pod: set replicas to 1. A FallbackPool runs others"
         )
-    rmw = application.variable("RMW_IMPLEMENTATION") or DEFAULT_RMW
-    if rmw != DEFAULT_RMW:
-        raise CommandError(f"{name} uses {rmw}, and only Fast DDS ({DEFAULT_RMW}) is supported")
+    rmw = application.environment.get("RMW_IMPLEMENTATION", MIDDLEWARE.implementation)
+    if rmw != MIDDLEWARE.implementation:
+        raise CommandError(f"{name} uses {rmw}, and only {MIDDLEWARE.name} ({MIDDLEWARE.implementation}) is supported")
 
 
 def _draft(options: argparse.Namespace, application: Application) -> Draft:

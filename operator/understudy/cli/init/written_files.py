@@ -9,7 +9,10 @@ from typing import Literal
 import yaml
 
 from understudy.api import names
-from understudy.cli.init.application import Application
+from understudy.api.kinds.robot_workload import Ros
+from understudy.cli.init.application import Application, lacking
+from understudy.controller.pods.ros_environment import PROFILES_DIR
+from understudy.ros.rmw import MIDDLEWARE
 
 GateKind = Literal["NetworkPolicy", "Mux"]
 Readiness = Literal["Executing", "Uninitialized"]
@@ -19,11 +22,8 @@ OBJECTS, APPLICATION_PATCH, ROBOT_PATCH = "understudy.yaml", "patches/applicatio
 GAP = "500ms"
 """The gap of an output that was not measured."""
 
-_GRAPH = ("ROS_DOMAIN_ID", "ROS_DISCOVERY_SERVER")
-"""Variables of a ROS graph that differ from robot to robot."""
-
-_FIXED = {"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp", "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
-"""Variables that are the same in each graph."""
+_VARIABLES = tuple(MIDDLEWARE.environment(Ros(), "a managed server"))
+"""The variables with which a process joins a robot's ROS graph."""
 
 
 @dataclass(frozen=True)
@@ -47,19 +47,19 @@ class Draft:
     @property
     def domain(self) -> int:
         """The ROS domain of the application."""
-        text = self.application.variable("ROS_DOMAIN_ID")
+        text = self.application.environment.get("ROS_DOMAIN_ID", "")
         return int(text) if text.isdigit() else 0
 
     @property
     def discovery_server(self) -> str:
         """The discovery server that the application uses already; empty if it uses none."""
-        return self.application.variable("ROS_DISCOVERY_SERVER")
+        return MIDDLEWARE.discovery_server(self.application.environment)
 
 
 def files(draft: Draft) -> dict[str, str]:
     """Return the text of each file by its path below the folder."""
     written = {OBJECTS: "\n---\n".join("\n".join(part) for part in (_workload(draft), _policy(draft), _pool(draft)))}
-    if draft.gate != "Mux" and any(draft.application.lacks(name) for name in (*_GRAPH, *_FIXED)):
+    if draft.gate != "Mux" and any(lacking(one, _VARIABLES) for one in draft.application.containers):
         written[APPLICATION_PATCH] = "\n".join(_application_patch(draft))
     written[ROBOT_PATCH] = "\n".join(_mux_patch(draft) if draft.gate == "Mux" else _profile_patch(draft))
     return {path: f"{text}\n" for path, text in written.items()}
@@ -170,21 +170,17 @@ def _application_patch(draft: Draft) -> Iterator[str]:
     config_map = names.robot_env(draft.name)
     yield from _patch_head(application, "The application joins the robot's ROS graph.", "")
     for container in application.containers:
-        missing = [name for name in (*_FIXED, *_GRAPH) if Application({"spec": _with(container)}).lacks(name)]
+        missing = lacking(container, _VARIABLES)
         if not missing:
             continue
         yield f"        - name: {container['name']}"
         yield "          env:"
         for name in missing:
-            if name in _FIXED:
-                yield f"            - {{name: {name}, value: {_FIXED[name]}}}"
+            if name in MIDDLEWARE.common:
+                yield f"            - {{name: {name}, value: {MIDDLEWARE.common[name]}}}"
             else:
                 key = f"{{configMapKeyRef: {{name: {config_map}, key: {name}}}}}"
                 yield f"            - {{name: {name}, valueFrom: {key}}}"
-
-
-def _with(container: object) -> dict[str, object]:
-    return {"template": {"spec": {"containers": [container]}}}
 
 
 def _robot_containers(draft: Draft) -> list[str]:
@@ -202,7 +198,7 @@ def _profile_patch(draft: Draft) -> Iterator[str]:
         yield "          envFrom:"
         yield f"            - configMapRef: {{name: {names.robot_env(draft.name)}}}"
         yield "          volumeMounts:"
-        yield "            - {name: understudy, mountPath: /etc/understudy, readOnly: true}"
+        yield f"            - {{name: understudy, mountPath: {PROFILES_DIR}, readOnly: true}}"
     yield "      volumes:"
     yield f"        - {{name: understudy, configMap: {{name: {names.robot_profiles(draft.name)}}}}}"
 
@@ -224,7 +220,7 @@ def _mux_patch(draft: Draft) -> Iterator[str]:
     yield f"            - configMapRef: {{name: {names.robot_env(draft.name)}}}"
     yield f"            - configMapRef: {{name: {mux}}}"
     yield "          volumeMounts:"
-    yield "            - {name: understudy-mux, mountPath: /etc/understudy-mux, readOnly: true}"
+    yield f"            - {{name: understudy-mux, mountPath: {names.MUX_FOLDER}, readOnly: true}}"
     yield f"            - {{name: understudy-mux-state, mountPath: {names.STATE_DIR}}}"
     yield "      volumes:"
     yield f"        - {{name: understudy-mux, secret: {{secretName: {mux}}}}}"
