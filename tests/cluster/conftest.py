@@ -13,6 +13,7 @@ import pytest
 
 from tests.cluster.operators import APPS, CORE, Fleet, Operator
 from tests.cluster.policy_pods import World, table
+from tests.support.chart import SET_IMAGES
 from tests.support.cluster import Cluster, Object, account, until
 from tests.support.sharing import shared
 from understudy.api.base import GROUP
@@ -169,7 +170,7 @@ def _install(cluster: Cluster, helm: str, kubeconfig: Path, release: Release) ->
     """Install the chart with an operator that rests; answers with what was there before."""
     chart = str(REPOSITORY / "charts" / "understudy")
     there = _helm(helm, kubeconfig, "status", NAME).returncode == 0
-    values = ["--reset-then-reuse-values"] if there else ["--set", "operator.replicas=0"]
+    values = ["--reset-then-reuse-values"] if there else ["--set", f"operator.replicas=0,{SET_IMAGES}"]
     # The operators and monitors of these tests run outside the cluster, with the rights of the tests or of another release.
     values += ["--set", "allNamespaces=true"]
     values += ["--set", f"admission.labelWriters={{{cluster.user},{CONFINED.user}}}"]

@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from tests.cluster.conftest import REPOSITORY, Release
+from tests.support.chart import SET_IMAGES
 
 CHART = REPOSITORY / "charts" / "understudy"
 PRODUCTION = CHART / "production.yaml"
@@ -40,7 +41,7 @@ def test_every_object_is_accepted_strictly(
     # The pod of `helm test` may be there from an earlier one, and pods can't be changed.
     command = [
         helm, "template", release.name, str(CHART), "--namespace", release.namespace, "--kube-version", "1.34", "--skip-tests",
-        "--set", "images.operator.repository=understudy/operator,images.monitor.repository=understudy/monitor",
+        "--set", SET_IMAGES,
     ]  # fmt: skip
     rendered = subprocess.run([*command, *arguments], capture_output=True, text=True, timeout=60, check=True).stdout
     items = [item for item in yaml.safe_load_all(rendered) if item]

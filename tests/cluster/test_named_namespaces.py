@@ -11,6 +11,7 @@ import yaml
 
 from tests.cluster.conftest import CONFINED, REPOSITORY, Release
 from tests.cluster.operators import Fleet, Operator, hot, policy, workload
+from tests.support.chart import SET_IMAGES
 from tests.support.cluster import Cluster, Object, Refused, until
 from tests.support.golden import assert_golden
 from tests.support.rights import as_lines, rights_of
@@ -22,8 +23,7 @@ RIGHTS = ("ServiceAccount", "ClusterRole", "ClusterRoleBinding", "Role", "RoleBi
 def confined(cluster: Cluster, helm: str, kubeconfig: Path, namespace: str, tmp_path: Path) -> Iterator[Path]:
     """The kubeconfig of an operator that the chart lets look after one namespace."""
     chart = str(REPOSITORY / "charts" / "understudy")
-    images = "images.operator.repository=understudy/operator,images.monitor.repository=understudy/monitor"
-    settings = f"watchNamespaces={{{namespace}}},rbac.aggregate=false,{images}"
+    settings = f"watchNamespaces={{{namespace}}},rbac.aggregate=false,{SET_IMAGES}"
     name, own = CONFINED.name, CONFINED.namespace
     command = [helm, "template", name, chart, "--namespace", own, "--kube-version", "1.34", "--set", settings]
     rendered = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout

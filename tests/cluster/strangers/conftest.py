@@ -12,6 +12,7 @@ from tests.cluster import monitor_accounts
 from tests.cluster.conftest import REPOSITORY, Release
 from tests.cluster.monitor_accounts import allow, until_refused
 from tests.cluster.operators import workload
+from tests.support.chart import IMAGES
 from tests.support.cluster import Cluster, Object
 from understudy.api import names
 from understudy.kube.client import Client
@@ -89,7 +90,7 @@ def author_policies(cluster: Cluster, release: Release, namespace: str, helm: st
     def create(**admission: object) -> None:
         command = [helm, "template", f"for-{namespace}", str(REPOSITORY / "charts" / "understudy"), "--values", "-"]
         command += ["--kube-version", "1.34", "--show-only", "templates/admission-authoring.yaml"]
-        values = yaml.safe_dump({"watchNamespaces": [namespace], "admission": admission})
+        values = yaml.safe_dump({"watchNamespaces": [namespace], "admission": admission, "images": IMAGES})
         rendered = subprocess.run(command, input=values, capture_output=True, text=True, timeout=60, check=True).stdout
         made.extend(cluster.create(item) for item in yaml.safe_load_all(rendered))
 

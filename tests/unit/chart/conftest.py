@@ -10,10 +10,9 @@ from typing import Any
 import pytest
 import yaml
 
-CHART = Path(__file__).resolve().parents[3] / "charts" / "understudy"
+from tests.support.chart import SET_IMAGES
 
-IMAGES = "images.operator.repository=understudy/operator,images.monitor.repository=understudy/monitor"
-"""What everybody has to give."""
+CHART = Path(__file__).resolve().parents[3] / "charts" / "understudy"
 
 Object = dict[str, Any]
 Run = Callable[..., subprocess.CompletedProcess[str]]
@@ -28,7 +27,7 @@ def run(helm: str) -> Run:
         *settings: str, release: str = "understudy", tests: bool = False, values: Path | None = None
     ) -> subprocess.CompletedProcess[str]:
         named = values or any(setting.startswith("watchNamespaces=") for setting in settings)
-        words = [] if values else ["--set", IMAGES]
+        words = [] if values else ["--set", SET_IMAGES]
         words += [word for setting in settings for word in ("--set", setting)]
         words += [] if named else ["--set", "allNamespaces=true"]
         words += ["--values", str(values)] if values else []

@@ -12,7 +12,8 @@ import subprocess
 import pytest
 import yaml
 
-from tests.unit.chart.conftest import CHART, IMAGES, Object, Render, one
+from tests.support.chart import SET_IMAGES
+from tests.unit.chart.conftest import CHART, Object, Render, one
 from understudy.api import names
 from understudy.api.schema.definitions import definitions
 from understudy.kube.gates.base import GateRecord
@@ -20,7 +21,9 @@ from understudy.kube.gates.kinds.network_policy import GATE
 
 
 @pytest.mark.parametrize(
-    "values", [("--set", IMAGES), ("--values", str(CHART / "production.yaml"))], ids=["default-values", "production"]
+    "values",
+    [("--set", SET_IMAGES), ("--values", str(CHART / "production.yaml"))],
+    ids=["default-values", "production"],
 )
 def test_helm_lint_reports_nothing(helm: str, values: tuple[str, ...]) -> None:
     done = subprocess.run([helm, "lint", "--strict", str(CHART), *values], capture_output=True, text=True, timeout=60)

@@ -13,8 +13,8 @@ import pytest
 import yaml
 
 from scripts import release_images
+from tests.support.chart import SET_IMAGES
 from tests.support.pages import PAGES, REPOSITORY, page_name, typed
-from tests.unit.chart.conftest import IMAGES
 from understudy import __version__
 
 ALONE, WITH_ONE = {"--install", "--create-namespace", "--wait", "--reuse-values"}, {"--namespace", "--timeout"}
@@ -39,7 +39,7 @@ def rendering(line: str) -> list[str]:
         elif word not in ALONE:
             kept.append(word)
         elif word == "--reuse-values":
-            kept += ["--set", f"allNamespaces=true,{IMAGES}"]
+            kept += ["--set", f"allNamespaces=true,{SET_IMAGES}"]
     return kept
 
 
