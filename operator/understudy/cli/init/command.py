@@ -36,7 +36,8 @@ def main(arguments: list[str]) -> int:
     folder = (options.write or "FOLDER").rstrip("/")
     note = "next" if options.write else "with --write FOLDER, it also writes the patches; then"
     print(
-        "\n".join([f"understudy init: {note}:", *(f"  {step}" for step in next_steps(draft, folder))]), file=sys.stderr
+        "\n".join([f"understudy init: {note}:", *(f"  {step}" for step in next_steps(draft, folder, written))]),
+        file=sys.stderr,
     )
     return 0
 

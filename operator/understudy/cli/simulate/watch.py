@@ -16,7 +16,7 @@ from understudy.api.plain_text import plain
 from understudy.cli.common.errors import CommandError, reports_errors
 from understudy.cli.common.option_rules import add_examples
 from understudy.cli.common.text import terminal
-from understudy.cli.simulate import policy_file
+from understudy.cli.simulate import live_graph, policy_file
 from understudy.cli.simulate.leaf_history import Evaluation
 from understudy.cli.simulate.live_screen import Display, Lines, Screen, describe
 from understudy.cli.simulate.policy_file import Policy
@@ -61,29 +61,14 @@ def _end(evaluation: Evaluation) -> int:
 @contextlib.contextmanager
 def _joined() -> Iterator[TopicWatch]:
     """Join the ROS graph that the environment selects; only topics of trees are subscribed. Raises CommandError."""
-    try:
-        from understudy.ros.runtime.lean_imports import import_rclpy
-
-        import_rclpy()
+    with live_graph.joined("watch") as graph:
         from understudy.ros.observe.topic_watch import TopicWatch
-        from understudy.ros.runtime.graph_node import Graph
-    except ImportError as error:
-        raise CommandError(
-            f"ROS 2 is not installed ({error}): source a ROS 2 installation, or install understudy with the extra ros: "
-            "pip install '.[ros]' in its repository"
-        ) from error
-    try:
-        graph = Graph(f"understudy_watch_{os.getpid()}")
-    except Exception as error:  # the middleware's errors are not documented
-        raise CommandError(
-            f"the ROS graph cannot be joined: {error}; check RMW_IMPLEMENTATION and ROS_DOMAIN_ID"
-        ) from error
-    watching = TopicWatch(graph)
-    try:
-        yield watching
-    finally:
-        watching.close()
-        graph.close()
+
+        watching = TopicWatch(graph)
+        try:
+            yield watching
+        finally:
+            watching.close()
 
 
 def _watch(policy: Policy, watching: TopicWatch, length: float | None) -> Evaluation:
