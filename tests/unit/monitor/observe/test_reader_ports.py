@@ -56,7 +56,8 @@ def test_an_output_without_readers_is_reported() -> None:
 
 
 @pytest.mark.parametrize(
-    "node", ["/_ros2cli_4711", "/rosbag2_recorder", "/fleet/rosbag2_recorder", "/understudy_watch_12"]
+    "node",
+    ["/_ros2cli_4711", "/rosbag2_recorder", "/fleet/rosbag2_recorder", "/understudy_watch_12", "/understudy_init_12"],
 )
 def test_readers_of_tools_do_not_count_as_the_robot(node: str) -> None:
     alone = judged(reading("10.1.0.9", DEFAULT, node=node))

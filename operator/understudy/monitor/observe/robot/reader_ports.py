@@ -10,8 +10,8 @@ from understudy.api import names
 from understudy.monitor.notices import ConditionReport
 from understudy.ros.middleware import Locator
 
-TOOLS = ("_", "rosbag2_recorder", "understudy_watch_")
-"""Prefixes of the names of nodes that only observe: hidden nodes such as those of the ROS command line, rosbag2, and understudy watch."""
+TOOLS = ("_", "rosbag2_recorder", "understudy_watch_", "understudy_init_")
+"""Prefixes of the names of nodes that only observe: hidden nodes such as those of the ROS command line, rosbag2, and understudy watch and init."""
 
 
 UNGATED = "ReaderWithoutProfile"
