@@ -11,7 +11,7 @@ from understudy.monitor.notices import ConditionReport
 from understudy.ros.middleware import Locator
 
 TOOLS = ("_", "rosbag2_recorder", "understudy_watch_", "understudy_init_")
-"""Prefixes of the names of nodes that only observe: hidden nodes such as those of the ROS command line, rosbag2, and understudy watch and init."""
+"""Prefixes of the names of nodes that only observe: hidden nodes such as those of the ROS command line, rosbag2, and our own commands."""
 
 
 UNGATED = "ReaderWithoutProfile"
