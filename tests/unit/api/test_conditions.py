@@ -24,7 +24,7 @@ def test_now_is_formatted_as_in_kubernetes() -> None:
     ("value", "status"), [(True, "True"), (False, "False"), ("Unknown", "Unknown"), ("True", "True")]
 )
 def test_a_boolean_becomes_a_status(value: object, status: str) -> None:
-    assert condition("Ready", value, "Tested").status == status  # type: ignore[arg-type]
+    assert condition("Ready", value, "Tested", "tested").status == status  # type: ignore[arg-type]
 
 
 def test_an_unchanged_status_keeps_its_time_and_takes_the_other_fields() -> None:
@@ -34,20 +34,21 @@ def test_an_unchanged_status_keeps_its_time_and_takes_the_other_fields() -> None
 
 
 def test_a_changed_status_takes_the_present_time() -> None:
-    (result,) = merged([_old("Ready", True)], [condition("Ready", False, "After")])
+    (result,) = merged([_old("Ready", True)], [condition("Ready", False, "After", "new")])
     assert result.last_transition_time != LONG_AGO
     assert result.status == "False"
 
 
 def test_new_types_are_added_and_old_ones_removed() -> None:
     result = merged(
-        [_old("Gone", True), _old("Ready", True)], [condition("Ready", True, "R"), condition("New", True, "R")]
+        [_old("Gone", True), _old("Ready", True)],
+        [condition("Ready", True, "R", "r"), condition("New", True, "R", "r")],
     )
     assert [c.type for c in result] == ["Ready", "New"]
 
 
 def test_merging_does_not_change_its_input() -> None:
-    new = condition("Ready", True, "After")
+    new = condition("Ready", True, "After", "new")
     before = new.last_transition_time
     merged([_old("Ready", True)], [new])
     assert new.last_transition_time == before
@@ -56,7 +57,7 @@ def test_merging_does_not_change_its_input() -> None:
 @pytest.mark.parametrize("reason", ["", "two words", "9Lives", "Trailing:"])
 def test_a_reason_must_be_one_word(reason: str) -> None:
     with pytest.raises(ValidationError):
-        condition("Ready", True, reason)
+        condition("Ready", True, reason, "refused")
 
 
 def test_a_condition_is_serialized_for_the_wire() -> None:
