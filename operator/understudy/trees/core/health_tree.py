@@ -155,9 +155,8 @@ class HealthTree:
         self.root = self._build(self._left_out)
         nodes = list(self.root.iterate()) if self.root is not None else []
         self._leaves = [node for node in nodes if isinstance(node, Leaf)]
-        # Without an inverter, a tree is healthy if all its leaves are. That is nearly always the case, and needs no
-        # tick of all its nodes.
-        self._upright = not any(isinstance(node, Inverter) for node in nodes)
+        # Nearly always, all leaves are healthy. If the tree is healthy then, no node needs a tick.
+        self._well = self.root is not None and _well(self.root)
 
     @property
     def judged(self) -> list[WatchedTopic]:
@@ -214,7 +213,7 @@ class HealthTree:
 
     def deadline(self, observations: Observations, *, now: float, since: float) -> float | None:
         """Return the first time at which :meth:`evaluate` would be worse than now if nothing more arrives; None for
-        never.
+        never. With an inverter in the tree it may be earlier, but still later than now.
 
         It is valid until the next message or evaluation. A call after an evaluation with the same times, and before
         anything more is noted, costs almost nothing while all leaves are healthy.
@@ -252,7 +251,7 @@ class HealthTree:
     def _healthy_until(self, observations: Observations, now: float, since: float) -> dict[str, float] | None:
         """Return by path when each leaf stops being healthy; None unless all of them, and therefore the tree, are
         healthy."""
-        if not self._upright:
+        if not self._well:
             return None
         self._set_evaluation(observations, now, since, real=True)
         found = {}
@@ -277,12 +276,24 @@ class HealthTree:
         return STATE[self.root.status]
 
 
+def _well(node: Behaviour) -> bool:
+    """Return whether a node is healthy while all its leaves are."""
+    if isinstance(node, Leaf):
+        return True
+    if isinstance(node, Inverter):
+        return not _well(node.decorated)
+    children = [_well(child) for child in node.children]
+    return any(children) if isinstance(node, AnyOf) else all(children)
+
+
 def _first_loss(node: Behaviour, until: dict[str, float]) -> float:
-    """Return when a node over healthy leaves stops being healthy: alternatives with their last leaf, other nodes with
-    their first."""
+    """Return when a node that is healthy over healthy leaves stops being so: alternatives with their last child, other nodes with
+    their first, and an inverter not before one of its leaves."""
     if isinstance(node, Leaf):
         return until[node.name]
-    losses = [_first_loss(child, until) for child in node.children]
+    if isinstance(node, Inverter):
+        return min(until[leaf.name] for leaf in node.iterate() if isinstance(leaf, Leaf))
+    losses = [_first_loss(child, until) for child in node.children if _well(child)]
     return max(losses) if isinstance(node, AnyOf) else min(losses)
 
 
