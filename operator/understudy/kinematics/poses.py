@@ -16,6 +16,10 @@ DRIFT = 0.05
 DRIFT_IN_HEADING = 0.02
 """Additional standard deviation of each angle, in rad per metre: wheels of different sizes turn a robot that is meant to drive straight."""
 
+ROUNDING = 1e-6
+"""Variance, in m² or rad², below which the sign is a matter of rounding. An estimator that is certain may publish less than nothing: Nav2's
+AMCL gives -1e-11 while the robot stands, and computes NaN when it receives that."""
+
 _UNIT = 0.1
 """Maximum difference of a quaternion's length from 1. A rounded quaternion is normalized; any other is refused."""
 
@@ -124,16 +128,17 @@ def grown(covariance: Sequence[float], kept: Pose, present: Pose, *, driven: flo
 
     Row by row, for x, y, z and the rotations about the fixed axes, as in geometry_msgs/msg/PoseWithCovariance. Uncertainty of the
     orientation becomes uncertainty of the place, in proportion to the distance. The uncertainty of odometry itself (DRIFT) is added. A
-    covariance that is marked as unknown (a negative variance) stays as it is.
+    covariance that is marked as unknown (a negative variance) stays as it is. What a planar robot has (x, y, yaw) is at least ROUNDING.
     """
-    if len(covariance) != 36 or any(covariance[7 * i] < 0 for i in range(6)):
+    if len(covariance) != 36 or any(covariance[7 * i] < -ROUNDING for i in range(6)):
         return list(covariance)
     dx, dy, dz = (b - a for a, b in zip(kept.place, present.place, strict=True))
     lever = ((0.0, dz, -dy), (-dz, 0.0, dx), (dy, -dx, 0.0))  # effect of a small turn on a place at that distance
     jacobian = [[float(i == j) for j in range(6)] for i in range(6)]
     for i in range(3):
         jacobian[i][3:] = lever[i]
-    before = [list(covariance[6 * i : 6 * i + 6]) for i in range(6)]
+    certain = {i for i in range(6) if covariance[7 * i] <= 0}
+    before = [[0.0 if {i, j} & certain else covariance[6 * i + j] for j in range(6)] for i in range(6)]
     half = [[sum(jacobian[i][k] * before[k][j] for k in range(6)) for j in range(6)] for i in range(6)]
     after = [[sum(half[i][k] * jacobian[j][k] for k in range(6)) for j in range(6)] for i in range(6)]
     place, turn = (DRIFT * driven) ** 2, (DRIFT * turned + DRIFT_IN_HEADING * driven) ** 2
@@ -141,4 +146,6 @@ def grown(covariance: Sequence[float], kept: Pose, present: Pose, *, driven: flo
         # Driving adds no uncertainty to components that have none in a planar robot (z, roll and pitch).
         if before[i][i] > 0 or i in (0, 1, 5):
             after[i][i] += place if i < 3 else turn
+        if i in (0, 1, 5):
+            after[i][i] = max(after[i][i], ROUNDING)
     return [value for row in after for value in row]

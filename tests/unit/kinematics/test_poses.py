@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from understudy.kinematics.poses import DRIFT, DRIFT_IN_HEADING, HERE, Pose, carried, grown
+from understudy.kinematics.poses import DRIFT, DRIFT_IN_HEADING, HERE, ROUNDING, Pose, carried, grown
 
 PLACES = st.floats(-100.0, 100.0)
 PARTS = st.floats(-1.0, 1.0)
@@ -175,6 +175,15 @@ def test_the_covariance_equals_that_of_propagated_samples() -> None:
         for j in range(3):
             found = sum(d[i] * d[j] for d in drawn) / len(drawn)
             assert found == pytest.approx(reckoned[6 * i + j], rel=0.15, abs=0.002)
+
+
+def test_a_variance_below_zero_by_rounding_becomes_a_small_one() -> None:
+    """Nav2's AMCL publishes such ones while the robot stands, and computes NaN of them as an initial pose."""
+    rounded = diagonal(-1.1e-11, 0, 0, 0, 0, 3.2e-14)
+    rounded[1] = rounded[6] = 2e-12
+    after = grown(rounded, HERE, HERE, driven=0.0, turned=0.0)
+    assert [after[0], after[7], after[35]] == [ROUNDING] * 3
+    assert [value for i, value in enumerate(after) if i not in (0, 7, 35)] == [0.0] * 33
 
 
 def test_an_unknown_covariance_stays_unknown() -> None:
