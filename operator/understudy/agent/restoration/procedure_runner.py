@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Awaitable, Callable, Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from understudy.agent.control_channel import Operation, Peer, Refused
@@ -55,7 +56,9 @@ class InstanceActions:
         self._watched, self._restore, self._resend, self._state = watched, restore, resend, state
         self.report = RestoreReport()
         """The outcome of restoring the state so far."""
-        self.call, self.publish, self.wait_sample = caller.call, caller.publish, caller.wait_sample
+        # Nodes that have just started may not have discovered the publisher yet.
+        self.publish = partial(caller.publish, answered=True)
+        self.call, self.wait_sample = caller.call, caller.wait_sample
         self.service_present, self.node_present = caller.service_present, caller.node_present
         self.lifecycle_state, self.bring_to = caller.lifecycle_state, caller.bring_to
         self.get_parameters, self.set_parameters = caller.get_parameters, caller.set_parameters
