@@ -1,7 +1,7 @@
 """The paper's second experiment: recovery times and CPU of its three configurations, while an arm moves from pose to
 pose.
 
-    scripts/bench manipulation [--failures 10] [--how deleted-by-force|frozen|killed] [--configurations restart executing ...]
+    scripts/bench manipulation [--failures 20] [--how frozen|killed|deleted-by-force] [--configurations restart executing ...]
 
 The method is that of `scripts/bench navigation`. In addition to the paper's figures it measures how far one command
 moves the arm: the largest step between two consecutive commands of its joints, as the robot received them, when a
@@ -33,7 +33,7 @@ RATIO = "the same by that of undisturbed motion"
 
 
 class Manipulation(tours.Experiment):
-    name = "manipulation"
+    name = container = "manipulation"
     robot = Manipulator
     configurations = CONFIGURATIONS
     labels: ClassVar = {"restart": "restart", "pod-started": "pod started", "executing": "full execution"}

@@ -1,10 +1,10 @@
 """The paper's first experiment: recovery times and CPU of its five configurations, during a drive through goals.
 
-    scripts/bench navigation [--failures 10] [--how deleted-by-force|frozen|killed] [--configurations restart executing ...]
+    scripts/bench navigation [--failures 20] [--how frozen|killed|deleted-by-force] [--configurations restart executing ...]
 
 In each configuration the robot drives from goal to goal until its stack has failed --failures times. The parts of
 the recovery time (the paper's equation 1) come from the monitor's record of packets and samples, the gap from the
-robot's own log, and the CPU from the kubelets' counters over the whole drive (the paper's sigma(CPU)). The bench
+robot's own log, and the CPU from the kubelets' counters over a drive with one failure (the paper's sigma(CPU)). The bench
 writes two pictures next to the results. It needs a cluster (KUBECONFIG).
 """
 
@@ -26,8 +26,8 @@ FAR = 1.5
 
 
 class Navigation(tours.Experiment):
-    name = "navigation"
-    robot = Navigator
+    name = container = "navigation"
+    robot: type[Navigator] = Navigator
     configurations = CONFIGURATIONS
     labels: ClassVar = {
         "restart": "restart",
