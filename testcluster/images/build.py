@@ -9,7 +9,7 @@ from pathlib import Path
 
 from testcluster import atomic, locks
 from testcluster.images import commits, engines, pip
-from testcluster.images.catalog import PRESENT, Image, images, with_parents
+from testcluster.images.catalog import NAV2_ARCHIVE, PRESENT, Image, images, with_parents
 from testcluster.images.engines import Engine
 from testcluster.paths import cache
 from testcluster.progress import Progress
@@ -73,8 +73,15 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="scripts/images", description="Builds the images whose inputs changed, and loads them into a cluster."
     )
-    here = ", ".join(image.short for image in images())
-    parser.add_argument("image", nargs="*", help=f"images to build ({here}); default: all")
+    try:
+        here = ", ".join(image.short for image in images())
+    except ValueError as error:
+        parser.error(str(error))
+    parser.add_argument(
+        "image",
+        nargs="*",
+        help=f"images to build ({here}); default: all. {NAV2_ARCHIVE} names an archive of which nav2 is made",
+    )
     parser.add_argument("--load", action="store_true", help="load them into the cluster")
     parser.add_argument("--force", action="store_true", help="build even if nothing has changed")
     parser.add_argument(
@@ -96,7 +103,8 @@ def main(arguments: list[str] | None = None) -> int:
     known = {image.short: image for image in images(source)}
     unknown = sorted(set(options.image) - set(known))
     if unknown:
-        parser.error(f"no image {', '.join(unknown)}; there are {', '.join(known)}")
+        nav2 = f"; nav2 is made of an archive that {NAV2_ARCHIVE} names" if "nav2" in unknown else ""
+        parser.error(f"no image {', '.join(unknown)}; there are {', '.join(known)}{nav2}")
     wanted = [known[name] for name in options.image] or list(known.values())
     progress = Progress()
     try:

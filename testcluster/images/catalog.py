@@ -1,6 +1,7 @@
 """The images of this repository: where each is described, and its inputs."""
 
 import hashlib
+import os
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -24,6 +25,11 @@ class Source:
 
 PRESENT = Source()
 
+NAV2_ARCHIVE = "UNDERSTUDY_NAV2_ARCHIVE"
+"""The variable that names an archive of Nav2, of which an image is made. Debian packages of Nav2 need an image of ROS."""
+
+_NAV2 = Path("examples/navigation/nav2/image/archive.Dockerfile")
+
 
 @dataclass(frozen=True)
 class Image:
@@ -36,6 +42,8 @@ class Image:
         inputs: the parts of the context that decide the result, relative to it.
         stages: stages that take long and seldom change; the builder keeps them.
         parent: the name of the image of this repository that it is built on, None if it is built on an operating system with Python.
+        dockerfile: the name of the Dockerfile in the context.
+        archive: a file that is no part of the repository; the Dockerfile finds it as `${ARCHIVE}` in the build context `archive`.
     """
 
     name: str
@@ -44,6 +52,13 @@ class Image:
     inputs: tuple[str, ...]
     stages: tuple[str, ...] = ()
     parent: str | None = None
+    dockerfile: str = "Dockerfile"
+    archive: Path | None = None
+
+    @property
+    def file(self) -> Path:
+        """The Dockerfile."""
+        return self.context / self.dockerfile
 
     @property
     def short(self) -> str:
@@ -61,6 +76,8 @@ class Image:
         for path in self._files():
             mode = "x" if path.stat().st_mode & 0o100 else "-"
             digest.update(f"\n{mode} {path.relative_to(self.context)}\n".encode() + path.read_bytes())
+        if self.archive:
+            digest.update(self.archive.read_bytes())
         return digest.hexdigest()
 
     def _files(self) -> Iterator[Path]:
@@ -106,20 +123,46 @@ def images(source: Source = PRESENT) -> list[Image]:
         Image(_name(target, source), source.folder, target, _OWN, ("tools", f"{target}-dependencies"))
         for target in _TARGETS
     ]
-    for dockerfile in sorted((source.folder / "examples").glob("*/Dockerfile")):
-        parent = re.fullmatch(r"understudy/(.+)", base_argument(dockerfile))
-        found.append(
-            Image(
-                _example(dockerfile.parent.name, source),
-                dockerfile.parent,
-                None,
-                (".",),
-                # Only the result of these stages is copied.
-                tuple(re.findall(r"^FROM \S+ AS (\S+)", dockerfile.read_text(), re.MULTILINE)),
-                parent=_name(parent[1], source) if parent else None,
-            )
-        )
+    found += [
+        _of(dockerfile, _example(dockerfile.parent.name, source), source)
+        for dockerfile in sorted((source.folder / "examples").glob("*/Dockerfile"))
+    ]
+    nav2 = source.folder / _NAV2
+    if (archive := nav2_archive()) and nav2.exists():
+        found.append(_of(nav2, _name("nav2", source), source, archive))
     return found
+
+
+def _of(dockerfile: Path, name: str, source: Source, archive: Path | None = None) -> Image:
+    parent = re.fullmatch(r"understudy/(.+)", base_argument(dockerfile))
+    return Image(
+        name,
+        dockerfile.parent,
+        None,
+        (".",),
+        # Only the result of these stages is copied.
+        tuple(re.findall(r"^FROM \S+ AS (\S+)", dockerfile.read_text(), re.MULTILINE)),
+        parent=_name(parent[1], source) if parent else None,
+        dockerfile=dockerfile.name,
+        archive=archive,
+    )
+
+
+def nav2_archive() -> Path | None:
+    """Return the archive of a Nav2 that UNDERSTUDY_NAV2_ARCHIVE names; None without it.
+
+    Raises:
+        ValueError: there is no such file.
+    """
+    named = os.environ.get(NAV2_ARCHIVE)
+    if not named:
+        return None
+    archive = Path(named).absolute()
+    if not archive.is_file():
+        raise ValueError(
+            f"{NAV2_ARCHIVE}={named}: there is no such file; without the variable, no image of Nav2 is built"
+        )
+    return archive
 
 
 def with_parents(wanted: Iterable[Image], source: Source = PRESENT) -> list[Image]:

@@ -28,6 +28,13 @@ def _stage(name: str, image: Image) -> str:
     return f"localhost/understudy-stage-{name}:{image.tag}"
 
 
+def archive_options(image: Image) -> list[str]:
+    """Return the options that give the build the image's archive, which both programs have."""
+    if image.archive is None:
+        return []
+    return ["--build-context", f"archive={image.archive.parent}", "--build-arg", f"ARCHIVE={image.archive.name}"]
+
+
 class Engine(ABC):
     """A program that builds images and keeps them by name."""
 
@@ -122,7 +129,7 @@ class Buildah(Engine):
 
         Images that are built on it need not be built again after every change of the code.
         """
-        if not image.parent or "ARG DEPENDENCIES_IMAGE" not in (image.context / "Dockerfile").read_text():
+        if not image.parent or "ARG DEPENDENCIES_IMAGE" not in image.file.read_text():
             return {}
         short = image.parent.removeprefix("localhost/understudy-").rpartition(":")[0]
         name = _stage(f"{short}-dependencies", image)
@@ -144,6 +151,9 @@ class Buildah(Engine):
                 *(["--target", target] if target else []),
                 *(word for secret, path in secrets.items() for word in ("--secret", f"id={secret},src={path}")),
                 *(word for key, value in arguments.items() for word in ("--build-arg", f"{key}={value}")),
+                *archive_options(image),
+                "--file",
+                image.file,
                 "--tag",
                 name,
                 image.context,
@@ -179,6 +189,9 @@ class Docker(Engine):
                 *(word for name, path in secrets.items() for word in ("--secret", f"id={name},src={path}")),
                 "--build-arg",
                 f"BASE_IMAGE={base_image}",
+                *archive_options(image),
+                "--file",
+                image.file,
                 "--tag",
                 image.name,
                 image.context,

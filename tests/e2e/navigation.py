@@ -10,7 +10,7 @@ import json
 import math
 import re
 from bisect import bisect_left
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -143,15 +143,20 @@ class Navigator(Robot):
         self, configuration: str, *, folder: str = "manifests", edit: Callable[[list[Object]], None] | None = None
     ) -> None:
         """Apply policy, pool, and a folder's workload and robot; ``edit`` may change the objects first."""
-        beside = self._manifests.parent / folder
-        files = (self._manifests / f"strategies/{configuration}.yaml", beside / "workload.yaml", beside / "robot.yaml")
-        found = [item for file in files for item in yaml.safe_load_all(file.read_text()) if item]
+        found = [
+            item for file in self._files(configuration, folder) for item in yaml.safe_load_all(file.read_text()) if item
+        ]
         for item in found:
             if item["kind"] == "RobotWorkload":
                 item["spec"]["failurePolicyRef"] = {"name": f"{self.EXAMPLE}-{configuration}"}
         if edit:
             edit(found)
         self.kubectl.apply(found)
+
+    def _files(self, configuration: str, folder: str) -> Iterable[Path]:
+        """The manifests of a configuration."""
+        beside = self._manifests.parent / folder
+        return self._manifests / f"strategies/{configuration}.yaml", beside / "workload.yaml", beside / "robot.yaml"
 
     def begin(self) -> None:
         """Forget what happened so far, and the client of an earlier test."""

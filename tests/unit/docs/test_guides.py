@@ -55,9 +55,15 @@ def contains(whole: Any, part: Any) -> bool:
     return bool(whole == part)
 
 
+def manifests(page: str) -> list[Path]:
+    """The manifests of a page's example, its policies last."""
+    folder = EXAMPLES[page]
+    return [*sorted(folder.glob("*.yaml")), *sorted((folder / "strategies").glob("*.yaml"))]
+
+
 def spec_of(page: str, kind: str, fields: dict[str, Any]) -> dict[str, Any]:
     """The spec of the example's object of a kind, with these fields in place of its own."""
-    items = [one for file in sorted(EXAMPLES[page].glob("*.yaml")) for one in yaml.safe_load_all(file.read_text())]
+    items = [one for file in manifests(page) for one in yaml.safe_load_all(file.read_text())]
     return {**next(one["spec"] for one in items if one["kind"] == kind), **fields}
 
 
@@ -75,7 +81,7 @@ def test_shown_manifests_are_in_the_example_or_load(page: str, of: str, part: An
         for number, procedure in enumerate(filter(None, procedures)):
             load_procedure(procedure["yaml"], path=f"{of}[{number}]")
     else:
-        assert (REPOSITORY / of).parent == EXAMPLES[page]
+        assert REPOSITORY / of in manifests(page)
         assert any(contains(item, part) for item in yaml.safe_load_all((REPOSITORY / of).read_text())), of
 
 
@@ -83,7 +89,7 @@ def test_shown_manifests_are_in_the_example_or_load(page: str, of: str, part: An
 def test_the_table_lists_every_policy_of_the_example(page: str) -> None:
     text = (REPOSITORY / "docs" / "how-to" / page).read_text()
     values = set(re.findall(r"^\| `\w+` \| `([\w-]+\.yaml)` \|", text, re.MULTILINE))
-    assert values == {file.name for file in EXAMPLES[page].glob("*.yaml")} - {"workload.yaml"}
+    assert values == {file.name for file in manifests(page)} - {"workload.yaml"}
 
 
 @pytest.mark.parametrize("page", EXAMPLES)
