@@ -1,7 +1,8 @@
 """The application of ``understudy try``: drives the robot round in a circle, by its odometry.
 
 An ordinary ROS 2 node. It does not know whether it is in control: a standby runs the same code and sends as many commands. Each command
-has the name of its sender in its frame, which the robot has no other use for. Run as ``python -m understudy.cli.local_demo.application NAME``.
+has the name of its sender in its frame, which the robot has no other use for. Run as
+``python -m understudy.cli.local_demo.application NAME``.
 """
 
 from __future__ import annotations

@@ -89,26 +89,25 @@ class LocalMonitor:
             now = time.time()
             due = now + TICK
             if not self._active:
-                if successor := self._successor(now):
-                    self._put_in_control(successor)
+                if self._mux and self._sending(now) == list(self._instances):
+                    self._put_in_control(self._instances[0])
             elif now < schedule.trusted_from:
                 due = min(due, schedule.trusted_from)
             else:
                 verdict = self._tree.evaluate(self._watching, now=now, since=self._since)
                 self._health, self._reason = verdict.state, verdict.reason
-                if verdict.state == "Failed" and (successor := self._successor(now)):
+                others = [name for name in self._sending(now) if name != self._active]
+                if verdict.state == "Failed" and others:
                     self._journal.write(detected=self._active, reason=verdict.reason)
-                    self._put_in_control(successor)
+                    self._put_in_control(others[0])
                 elif (change := self._tree.deadline(self._watching, now=now, since=self._since)) is not None:
                     due = min(due, change + WAKE_LATE)
             await schedule.until(due)
 
-    def _successor(self, now: float) -> str:
-        """Return the first instance besides the active one that sends; empty if none does, or if the mux has not reported yet."""
-        if not self._mux:
-            return ""
-        sending = (name for name in self._instances if now - (self._watching.last_from(COMMANDS, name) or 0) < self._gap)
-        return next((name for name in sending if name != self._active), "")
+    def _sending(self, now: float) -> list[str]:
+        """Return the instances that send, whether they are in control or not."""
+        last = {name: self._watching.last_from(COMMANDS, name) for name in self._instances}
+        return [name for name, moment in last.items() if moment is not None and now - moment < self._gap]
 
     def _put_in_control(self, name: str) -> None:
         """Decide whom the mux forwards from now on. In a cluster, this is the write to the gate object."""
@@ -118,6 +117,7 @@ class LocalMonitor:
             return
         self._epoch, self._active, self._since = self._epoch + 1, name, time.time()
         self._health, self._reason = "Starting", ""
+        self._journal.write(control=name)
         self._send()
 
     def _send(self) -> None:
@@ -145,8 +145,6 @@ class LocalMonitor:
             self._answered.set()
             if report.refused:
                 self._journal.write(problem=f"the mux refuses an order: {report.refused}")
-            else:
-                self._journal.write(forwards=report.source, epoch=report.token.epoch)
 
     async def _record(self) -> None:
         """Record the state for the view."""

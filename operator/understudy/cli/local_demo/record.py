@@ -56,14 +56,22 @@ class RobotRecord:
         return [source for source, _ in groupby(command.source for command in self.commands)]
 
 
-@dataclass
-class Detection:
+class Detection(NamedTuple):
     """A failure that the health tree found."""
 
     at: float
-    """Seconds of the monotonic clock."""
+    """When, in seconds of the monotonic clock."""
     instance: str
     reason: str
+
+
+class Decision(NamedTuple):
+    """A change of control."""
+
+    at: float
+    """When, in seconds of the monotonic clock."""
+    instance: str
+    """Who is in control from then on."""
 
 
 @dataclass
@@ -76,6 +84,7 @@ class MonitorRecord:
     sends: Mapping[str, float] = field(default_factory=dict)
     """Commands per second that each instance sends, whether they reach the robot or not."""
     detections: list[Detection] = field(default_factory=list)
+    decisions: list[Decision] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
 
     def add(self, entries: Iterable[Entry]) -> None:
@@ -86,6 +95,8 @@ class MonitorRecord:
                 self.active, self.sends = entry["active"], entry["sends"]
             elif "detected" in entry:
                 self.detections.append(Detection(entry["at"], entry["detected"], entry["reason"]))
+            elif "control" in entry:
+                self.decisions.append(Decision(entry["at"], entry["control"]))
             elif "problem" in entry:
                 self.problems.append(entry["problem"])
 
@@ -106,14 +117,24 @@ class Failover:
     stopped: bool
     """Whether the robot stopped by itself in between."""
     leaked: int = 0
-    """Commands of the frozen instance that reached the robot after it was woken up."""
-    kept: float = 0.0
-    """Commands per second that it sends since then."""
+    """Commands of the frozen instance that reached the robot after it was woken up, and was not in control again."""
 
     @property
     def gap(self) -> float | None:
         """Seconds without a command at the robot; None if no standby took over."""
         return None if self.first is None else self.first - self.last
+
+
+def leaked(robot: RobotRecord, monitor: MonitorRecord, woken: str, since: float, until: float) -> int:
+    """Return how many commands of an instance reached the robot in an interval before it was put in control again."""
+    again = min((one.at for one in monitor.decisions if one.instance == woken and one.at > since), default=until)
+    return robot.received(woken, since=since, until=min(again, until))
+
+
+def one_at_a_time(robot: RobotRecord, monitor: MonitorRecord) -> bool:
+    """Whether the robot was driven by the instances in the order in which they were put in control, and never by two in turns."""
+    decided = iter(one.instance for one in monitor.decisions)
+    return all(driver in decided for driver in robot.drivers)
 
 
 def failover(robot: RobotRecord, monitor: MonitorRecord, frozen: str, frozen_at: float, standby: str) -> Failover:

@@ -34,7 +34,7 @@ DOMAINS = range(1, 101)
 """ROS domains whose ports are below those that Linux gives to other programs."""
 
 ENDS_WITHIN = 3.0
-"""Seconds that a process has to end by itself."""
+"""Seconds that the processes have to end by themselves."""
 
 _GATE = Gate(kind="Mux")
 _OUTPUTS = (Output(topic=COMMANDS, type=TYPE),)
@@ -90,21 +90,7 @@ def running(gap: float) -> Iterator[Stand]:
         instance.write_text(MIDDLEWARE.instance_settings((), _OUTPUTS, _GATE))
         monitor.write_text(MIDDLEWARE.monitor_settings(_OUTPUTS, _GATE))
         settings = MIDDLEWARE.settings_variable
-        commands = {
-            "robot": ("robot", [str(folder / "robot.jsonl")], {}),
-            **{
-                name: ("application", [name], {names.POD_VARIABLE: name, settings: str(instance)}) for name in INSTANCES
-            },
-            "monitor": (
-                "monitor",
-                [str(folder / "monitor.jsonl"), str(token), str(gap), *INSTANCES],
-                {settings: str(monitor)},
-            ),
-        }
-        processes = {
-            name: stack.enter_context(_process(folder, name, [f"{__package__}.{module}", *arguments], {**shared, **more}))
-            for name, (module, arguments, more) in commands.items()
-        }
+        of_instances = {name: {names.POD_VARIABLE: name, settings: str(instance)} for name in INSTANCES}
         of_mux = {
             names.NAMESPACE_VARIABLE: NAMESPACE,
             names.WORKLOAD_VARIABLE: WORKLOAD,
@@ -112,9 +98,18 @@ def running(gap: float) -> Iterator[Stand]:
             names.MUX_TOKEN_VARIABLE: str(token),
             names.MUX_STATE_VARIABLE: str(folder / "mux"),
         }
-        processes["mux"] = stack.enter_context(
-            _process(folder, "mux", ["understudy.main", "mux"], {**shared, **of_mux})
-        )
+        processes: dict[str, subprocess.Popen[bytes]] = {}
+        stack.callback(_end, processes)
+
+        def start(name: str, command: list[str], more: Mapping[str, str] | None = None) -> None:
+            processes[name] = _started(folder, name, command, {**shared, **(more or {})})
+
+        start("robot", [f"{__package__}.robot", str(folder / "robot.jsonl")])
+        start("mux", ["understudy.main", "mux"], of_mux)
+        watched = [str(folder / "monitor.jsonl"), str(token), str(gap), *INSTANCES]
+        start("monitor", [f"{__package__}.monitor", *watched], {settings: str(monitor)})
+        for name, variables in of_instances.items():
+            start(name, [f"{__package__}.application", name], variables)
         yield Stand(folder, processes)
 
 
@@ -143,12 +138,10 @@ def _free_domain() -> int:
     raise CommandError("no ROS domain from 1 to 100 is free on this machine: end ROS processes that you do not need")
 
 
-@contextlib.contextmanager
-def _process(
-    folder: Path, name: str, command: list[str], environment: Mapping[str, str]
-) -> Iterator[subprocess.Popen[bytes]]:
+def _started(folder: Path, name: str, command: list[str], environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
+    """Start a module of Python. What it prints goes to a file."""
     with _log(folder, name).open("wb") as log:
-        process = subprocess.Popen(
+        return subprocess.Popen(
             [sys.executable, "-m", *command],
             env=environment,
             stdin=subprocess.DEVNULL,
@@ -158,13 +151,17 @@ def _process(
             start_new_session=True,
             preexec_fn=_end_with_command,
         )
-    try:
-        yield process
-    finally:
-        process.send_signal(signal.SIGCONT)
+
+
+def _end(processes: Mapping[str, subprocess.Popen[bytes]]) -> None:
+    """End all processes, also frozen ones."""
+    for process in processes.values():
         process.terminate()
+        process.send_signal(signal.SIGCONT)
+    end = time.monotonic() + ENDS_WITHIN
+    for process in processes.values():
         try:
-            process.wait(ENDS_WITHIN)
+            process.wait(max(0.0, end - time.monotonic()))
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
@@ -173,7 +170,7 @@ def _process(
 def _end_with_command() -> None:
     """Have the kernel end this process if the command is killed (prctl(2))."""
     set_death_signal = 1
-    ctypes.CDLL(None).prctl(set_death_signal, signal.SIGTERM)
+    ctypes.CDLL(None).prctl(set_death_signal, signal.SIGKILL)
 
 
 def _log(folder: Path, name: str) -> Path:

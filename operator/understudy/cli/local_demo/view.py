@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TextIO
 
 from understudy.api.plain_text import plain
 from understudy.cli.common.text import terminal
 from understudy.cli.common.text.tree_text import WORDS, coloured, rough
+from understudy.cli.common.text.wording import wrapped
 from understudy.cli.local_demo.stand import INSTANCES, Stand
 
 RATED = 1.0
@@ -71,7 +71,7 @@ class Screen:
         last = f"; last command {rough(now - robot.commands[-1].at)} ago" if robot.commands else ""
         lines = [
             f"understudy try, {now - self._started:.0f} s: one robot and two instances of its application",
-            *_broken(SIMULATED, width),
+            *wrapped(SIMULATED, width, indent=0),
             "",
             *(self._row(stand, name, now) for name in ("", *INSTANCES)),
             "",
@@ -122,9 +122,3 @@ def marks(stand: Stand, name: str, now: float, count: int) -> str:
 
 
 Display = Lines | Screen
-
-
-def _broken(text: str, width: int) -> Sequence[str]:
-    import textwrap
-
-    return textwrap.wrap(text, max(20, width))

@@ -72,7 +72,9 @@ class Discovery:
         if server:
             host, _, port = server.rpartition(":")
             return cls(host, int(port), _SERVER, domain)
-        if environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() == "LOCALHOST":  # then nobody listens at the multicast address
+        if (
+            environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() == "LOCALHOST"
+        ):  # then nobody listens at the multicast address
             return cls("127.0.0.1", first_port(domain) + _FIRST_PARTICIPANT, domain=domain, participants=_LOCAL)
         return cls("239.255.0.1", first_port(domain), domain=domain)
 
