@@ -66,8 +66,8 @@ def _require_ros() -> None:
     if missing := [name for name in NEEDED if find_spec(name) is None]:
         raise CommandError(
             f"ROS 2 is not installed ({', '.join(missing)} not found). Install Understudy with it, in a clone of its repository:\n"
-            "python3 -m venv ~/understudy && ~/understudy/bin/pip install '.[ros]'\n"
-            "~/understudy/bin/understudy try\n"
+            "python3 -m venv .venv && .venv/bin/pip install '.[ros]'\n"
+            ".venv/bin/understudy try\n"
             "The packages come from PyPI, for x86-64 Linux. On other machines, source a ROS 2 Jazzy installation"
         )
 

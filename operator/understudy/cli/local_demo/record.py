@@ -96,7 +96,8 @@ class MonitorRecord:
             elif "detected" in entry:
                 self.detections.append(Detection(entry["at"], entry["detected"], entry["reason"]))
             elif "control" in entry:
-                self.decisions.append(Decision(entry["at"], entry["control"]))
+                self.active = entry["control"]
+                self.decisions.append(Decision(entry["at"], self.active))
             elif "problem" in entry:
                 self.problems.append(entry["problem"])
 

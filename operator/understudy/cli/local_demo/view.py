@@ -22,6 +22,9 @@ STRIP = 70
 PERIOD = 0.1
 """Seconds between two screens."""
 
+ROOMY = 20
+"""Least lines of a terminal in which there is space for an explanation besides the events."""
+
 FOOT = "Press f to freeze the instance that drives, q to end."
 
 SIMULATED = (
@@ -71,7 +74,7 @@ class Screen:
         last = f"; last command {rough(now - robot.commands[-1].at)} ago" if robot.commands else ""
         lines = [
             f"understudy try, {now - self._started:.0f} s: one robot and two instances of its application",
-            *wrapped(SIMULATED, width, indent=0),
+            *(wrapped(SIMULATED, width, indent=0) if terminal.rows() >= ROOMY else ()),
             "",
             *(self._row(stand, name, now) for name in ("", *INSTANCES)),
             "",
