@@ -21,7 +21,7 @@ from understudy.api.kinds.failure_policy import Monitoring
 from understudy.api.protocol.agent_messages import ProtocolError
 from understudy.api.protocol.mux_messages import Order, derive, order_text, read_report, topics
 from understudy.cli.local_demo.journals import JournalWriter
-from understudy.cli.local_demo.robot import COMMANDS, TYPE
+from understudy.cli.local_demo.robot import COMMANDS, NAMESPACE, TYPE, WORKLOAD
 from understudy.monitor.observe.wakeups import TICK, WAKE_LATE, EvaluationSchedule, Wakeups
 from understudy.process import cpu_scheduling
 from understudy.trees.languages.notations import load_monitoring
@@ -29,8 +29,6 @@ from understudy.trees.languages.notations import load_monitoring
 if TYPE_CHECKING:
     from understudy.ros.actions.text_exchange import TextExchange
     from understudy.ros.observe.topic_watch import TopicWatch
-
-NAMESPACE, WORKLOAD = "try", "robot"
 
 AGAIN = 0.1
 """Seconds until an order is sent again that the mux has not answered."""

@@ -113,8 +113,8 @@ class Failover:
     """When the last command of the frozen instance arrived."""
     first: float | None
     """When the first command of the standby arrived; None if none did in time."""
-    detected: float | None
-    """When the health tree failed."""
+    reason: str
+    """Why the health tree failed; empty if it did not."""
     stopped: bool
     """Whether the robot stopped by itself in between."""
     leaked: int = 0
@@ -142,6 +142,6 @@ def failover(robot: RobotRecord, monitor: MonitorRecord, frozen: str, frozen_at:
     """Return what the records say so far about an instance that was frozen."""
     last = max((one.at for one in robot.commands if one.source == frozen), default=frozen_at)
     first = next((one.at for one in robot.commands if one.source == standby and one.at > frozen_at), None)
-    detected = next((one.at for one in monitor.detections if one.instance == frozen and one.at > frozen_at), None)
+    reason = next((one.reason for one in monitor.detections if one.instance == frozen and one.at > frozen_at), "")
     stopped = any(last < at and (first is None or at < first) for at in robot.stops)
-    return Failover(frozen, frozen_at, standby, last, first, detected, stopped)
+    return Failover(frozen, frozen_at, standby, last, first, reason, stopped)

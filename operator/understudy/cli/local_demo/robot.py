@@ -15,6 +15,9 @@ from understudy.cli.local_demo.journals import JournalWriter
 COMMANDS, ODOMETRY = "/cmd_vel", "/odom"
 TYPE = "geometry_msgs/msg/TwistStamped"
 
+NAMESPACE, WORKLOAD = "try", "robot"
+"""What the monitor and the mux call the workload of this robot."""
+
 PERIOD = 0.05
 """Seconds between two steps of the simulation, each with an odometry message."""
 

@@ -21,9 +21,8 @@ from understudy.api import names
 from understudy.api.kinds.robot_workload import Gate, Output
 from understudy.cli.common.errors import CommandError
 from understudy.cli.local_demo.journals import JournalReader
-from understudy.cli.local_demo.monitor import NAMESPACE, WORKLOAD
 from understudy.cli.local_demo.record import MonitorRecord, RobotRecord
-from understudy.cli.local_demo.robot import COMMANDS, TYPE
+from understudy.cli.local_demo.robot import COMMANDS, NAMESPACE, TYPE, WORKLOAD
 from understudy.ros.rmw import MIDDLEWARE
 
 INSTANCES = ("instance-1", "instance-2")

@@ -71,9 +71,10 @@ class Summary:
     def _described(self, one: Failover) -> str:
         if one.gap is None:
             return f"{one.frozen} froze, and nobody took over."
-        parts = [f"{one.frozen} froze", f"{one.standby} drove {one.gap * 1000:.0f} ms after its last command"]
-        if one.detected is not None:
-            parts.append(f"the failure was detected after {(one.detected - one.last) * 1000:.0f} ms")
-        parts.append("the robot stopped meanwhile" if one.stopped else "the robot did not stop")
+        reason = f" (detected: {one.reason})" if one.reason else ""
+        stopped = "stopped meanwhile" if one.stopped else "did not stop"
         late = f" That is more than {self.within:g} s." if one.gap > self.within else ""
-        return f"{'; '.join(parts)}.{late}"
+        return (
+            f"{one.frozen} froze; {one.gap * 1000:.0f} ms after its last command at the robot, {one.standby} drove{reason}; the robot "
+            f"{stopped}.{late}"
+        )
