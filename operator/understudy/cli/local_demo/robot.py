@@ -1,4 +1,4 @@
-"""The simulated robot of ``understudy try``: drives as /cmd_vel says, publishes /odom, and records every command that reaches it.
+"""The simulated robot of ``understudy try``: drives as it is commanded, publishes odometry, and records every command that reaches it.
 
 It has no DDS profile, as any robot behind a mux. Run as ``python -m understudy.cli.local_demo.robot JOURNAL``.
 """
@@ -12,7 +12,9 @@ from pathlib import Path
 
 from understudy.cli.local_demo.journals import JournalWriter
 
-COMMANDS, ODOMETRY = "/cmd_vel", "/odom"
+COMMANDS, ODOMETRY = "/try/cmd_vel", "/try/odom"
+"""Topics of its own, so that no real robot receives these commands, even if somebody starts one in this ROS domain meanwhile."""
+
 TYPE = "geometry_msgs/msg/TwistStamped"
 
 NAMESPACE, WORKLOAD = "try", "robot"

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from understudy.cli.common.text.wording import counted
 from understudy.cli.local_demo.record import Failover, MonitorRecord, RobotRecord, one_at_a_time
+from understudy.cli.local_demo.robot import COMMANDS
 
 NEXT = (
     ("docs/concepts.md", "how it works, in five minutes"),
@@ -56,7 +57,7 @@ class Summary:
         yield from self.monitor.problems
         yield ""
         yield (
-            "Real: the gate (understudy mux and DDS partitions), the detection (a health tree: /cmd_vel with a gap of "
+            f"Real: the gate (understudy mux and DDS partitions), the detection (a health tree: {COMMANDS} with a gap of "
             f"{self.gap * 1000:.0f} ms at most), and the times, which the robot has recorded."
         )
         yield (
