@@ -63,7 +63,9 @@ class Demo:
         self._note("starting a robot, two instances, a mux and a monitor")
 
         def is_driven() -> bool:
-            return bool(stand.robot.commands) and all(stand.monitor.sends.get(name, 0) for name in INSTANCES)
+            return bool(stand.monitor.active and stand.robot.commands) and all(
+                stand.monitor.sends.get(name, 0) for name in INSTANCES
+            )
 
         if not self._wait(is_driven, STARTS_WITHIN):
             raise CommandError(f"the robot is not driven after {STARTS_WITHIN:.0f} s{stand.output()}")

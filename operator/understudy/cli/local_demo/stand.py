@@ -35,6 +35,14 @@ DOMAINS = range(1, 101)
 ENDS_WITHIN = 3.0
 """Seconds that the processes have to end by themselves."""
 
+_OF_GRAPH = ("ROS_", "RMW_", "FASTDDS_", "FASTRTPS_")
+"""What the names of variables begin with that would change the ROS graph of the demo."""
+
+_KEPT = ("ROS_DISTRO", "ROS_VERSION", "ROS_PYTHON_VERSION")
+
+_PACKAGES = Path(__file__).parents[3]
+"""Where Python finds this package, also from another folder."""
+
 _GATE = Gate(kind="Mux")
 _OUTPUTS = (Output(topic=COMMANDS, type=TYPE),)
 
@@ -101,7 +109,7 @@ def running(gap: float) -> Iterator[Stand]:
         stack.callback(_end, processes)
 
         def start(name: str, command: list[str], more: Mapping[str, str] | None = None) -> None:
-            processes[name] = _started(folder, name, command, {**shared, **(more or {})})
+            processes[name] = start_process(folder, name, command, {**shared, **(more or {})})
 
         start("robot", [f"{__package__}.robot", str(folder / "robot.jsonl")])
         start("mux", ["understudy.main", "mux"], of_mux)
@@ -114,10 +122,12 @@ def running(gap: float) -> Iterator[Stand]:
 
 def _environment(folder: Path) -> dict[str, str]:
     """Return what all processes share: their own ROS domain on the loopback interface, and no file in the user's home."""
-    kept = {name: value for name, value in os.environ.items() if name not in MIDDLEWARE.variables}
+    kept = {name: value for name, value in os.environ.items() if name in _KEPT or not name.startswith(_OF_GRAPH)}
+    paths = [str(_PACKAGES), *(word for word in os.environ.get("PYTHONPATH", "").split(os.pathsep) if word)]
     return {
         **kept,
         **MIDDLEWARE.common,
+        "PYTHONPATH": os.pathsep.join(map(os.path.abspath, paths)),
         "ROS_DOMAIN_ID": str(_free_domain()),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         "ROS_HOME": str(folder),
@@ -137,11 +147,15 @@ def _free_domain() -> int:
     raise CommandError("no ROS domain from 1 to 100 is free on this machine: end ROS processes that you do not need")
 
 
-def _started(folder: Path, name: str, command: list[str], environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
+def start_process(
+    folder: Path, name: str, command: list[str], environment: Mapping[str, str]
+) -> subprocess.Popen[bytes]:
     """Start a module of Python. What it prints goes to a file."""
     with _log(folder, name).open("wb") as log:
         return subprocess.Popen(
             [sys.executable, "-m", *command],
+            # A file of the user's folder may change the middleware (DEFAULT_FASTDDS_PROFILES.xml), or hide a module of Python.
+            cwd=folder,
             env=environment,
             stdin=subprocess.DEVNULL,
             stdout=log,

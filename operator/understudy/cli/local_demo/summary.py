@@ -15,6 +15,9 @@ NEXT = (
     ("scripts/demo", "three failures in a real cluster"),
 )
 
+SHOWN = 6
+"""Most changes of the driver that are listed."""
+
 
 @dataclass(frozen=True)
 class Summary:
@@ -53,7 +56,9 @@ class Summary:
         if self.has_one_driver:
             yield f"Never two drivers: {total} commands reached the robot, each from the instance in control."
         else:
-            yield f"TWO DRIVERS: {total} commands reached the robot, from {', then '.join(self.robot.drivers)}."
+            drivers = self.robot.drivers
+            more = ", and so on" if len(drivers) > SHOWN else ""
+            yield f"TWO DRIVERS: {total} commands reached the robot, from {', then '.join(drivers[:SHOWN])}{more}."
         yield from self.monitor.problems
         yield ""
         yield (
