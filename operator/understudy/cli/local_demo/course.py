@@ -93,12 +93,15 @@ class Demo:
             raise Ended
         self._note(f"{standby} drives: the robot was without commands for {found.gap * 1000:.0f} ms")
         self._wait(lambda: False, FROZEN_FOR)
-        woken = stand.wake(active)
-        self._note(f"{active} continues (SIGCONT), and sends commands as before")
+        woken, before = stand.wake(active), stand.monitor.sent[active]
+        self._note(f"{active} continues (SIGCONT), and does not know that it was replaced")
         self._wait(lambda: False, WATCHED_FOR)
         found.leaked = leaked(stand.robot, stand.monitor, active, woken, time.monotonic())
-        sends = stand.monitor.sends.get(active, 0.0)
-        self._note(f"{active} sends {sends:.0f} commands/s, and {found.leaked or 'none'} of them reached the robot")
+        if stand.monitor.active == active:
+            self._note(f"{active} is in control again, because {standby} has failed meanwhile")
+            return
+        found.sent = stand.monitor.sent[active] - before
+        self._note(f"{active} has sent {found.sent} commands, and {found.leaked or 'none'} of them reached the robot")
 
     def _standby(self) -> str:
         return next(name for name in INSTANCES if name != self._stand.monitor.active)

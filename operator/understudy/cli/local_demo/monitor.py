@@ -146,13 +146,15 @@ class LocalMonitor:
 
     async def _record(self) -> None:
         """Record the state for the view."""
+        sent, newest = dict.fromkeys(self._instances, 0), dict.fromkeys(self._instances, 0.0)
         while True:
-            since = time.time() - RATED
-            sends = {
-                name: sum(moment > since for moment in self._watching.arrivals(COMMANDS, name)) / RATED
-                for name in self._instances
-            }
-            self._journal.write(health=self._health, reason=self._reason, active=self._active, sends=sends)
+            since, sends = time.time() - RATED, dict[str, float]()
+            for name in self._instances:
+                arrivals = self._watching.arrivals(COMMANDS, name)
+                sends[name] = sum(moment > since for moment in arrivals) / RATED
+                sent[name] += sum(moment > newest[name] for moment in arrivals)
+                newest[name] = max(arrivals, default=newest[name])
+            self._journal.write(health=self._health, reason=self._reason, active=self._active, sends=sends, sent=sent)
             await asyncio.sleep(STATE_PERIOD)
 
 

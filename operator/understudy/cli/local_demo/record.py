@@ -83,6 +83,8 @@ class MonitorRecord:
     active: str = ""
     sends: Mapping[str, float] = field(default_factory=dict)
     """Commands per second that each instance sends, whether they reach the robot or not."""
+    sent: Mapping[str, int] = field(default_factory=dict)
+    """Commands that each instance has sent since it was first heard."""
     detections: list[Detection] = field(default_factory=list)
     decisions: list[Decision] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
@@ -92,7 +94,7 @@ class MonitorRecord:
         for entry in entries:
             if "health" in entry:
                 self.health, self.reason = entry["health"], entry["reason"]
-                self.active, self.sends = entry["active"], entry["sends"]
+                self.active, self.sends, self.sent = entry["active"], entry["sends"], entry["sent"]
             elif "detected" in entry:
                 self.detections.append(Detection(entry["at"], entry["detected"], entry["reason"]))
             elif "control" in entry:
@@ -117,6 +119,8 @@ class Failover:
     """Why the health tree failed; empty if it did not."""
     stopped: bool
     """Whether the robot stopped by itself in between."""
+    sent: int = 0
+    """Commands that the frozen instance sent after it was woken up, as long as it was watched; 0 if it was in control again."""
     leaked: int = 0
     """Commands of the frozen instance that reached the robot after it was woken up, and was not in control again."""
 

@@ -54,7 +54,11 @@ class Summary:
             yield f"  {number}. {self._described(one)}"
         total = len(self.robot.commands)
         if self.has_one_driver:
-            yield f"Never two drivers: {total} commands reached the robot, each from the instance in control."
+            sent = sum(one.sent for one in self.failovers)
+            yield (
+                f"Never two drivers: {total} commands reached the robot, each from the instance in control. Of {sent} commands of instances "
+                "that continued after they had been replaced, the gate let none through."
+            )
         else:
             drivers = self.robot.drivers
             more = ", and so on" if len(drivers) > SHOWN else ""
