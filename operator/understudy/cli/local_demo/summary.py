@@ -56,8 +56,8 @@ class Summary:
         if self.has_one_driver:
             sent = sum(one.sent for one in self.failovers)
             yield (
-                f"Never two drivers: {total} commands reached the robot, each from the instance in control. Of {sent} commands of instances "
-                "that continued after they had been replaced, the gate let none through."
+                f"Never two drivers: {total} commands reached the robot, each from the instance in control. Of {sent} commands of "
+                "instances that continued after they had been replaced, the gate let none through."
             )
         else:
             drivers = self.robot.drivers
