@@ -34,6 +34,9 @@ SEE, ACT, DESIGN, SET_UP = "See", "Act", "Design", "Set up"
 
 # In the order in which people need them.
 VERBS = (
+    Verb(
+        "try", "understudy.cli.local_demo.command", "see a robot survive a frozen application, on this machine", SET_UP
+    ),
     Verb("init", "understudy.cli.init.command", "write the manifests for an application that you have", SET_UP),
     Verb("check", "understudy.cli.check.command", "validate manifests without a cluster", SET_UP),
     Verb("status", "understudy.cli.inspect.status", "show all robots: active instance, standbys, problems", SEE),

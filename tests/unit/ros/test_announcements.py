@@ -146,6 +146,19 @@ def test_the_requested_discovery_follows_the_ros_environment() -> None:
     assert Discovery.of({"ROS_DISCOVERY_SERVER": "10.0.0.7:11811"}) == Discovery("10.0.0.7", 11811, b"DS\0_EPROSIMA")
     assert Discovery.of({"ROS_DOMAIN_ID": "17"}) == Discovery("239.255.0.1", 11650, domain=17)
     assert Discovery.of({}).port == 7400
+    local = Discovery.of({"ROS_DOMAIN_ID": "17", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"})
+    assert local.host == "127.0.0.1"
+    assert (local.ports[0], local.ports[1], len(local.ports)) == (11660, 11662, 32), "as rmw_fastrtps asks"
+
+
+def test_on_one_host_each_participant_reports_the_partitions_of_its_writers(
+    processes, partitioned, writers_script
+) -> None:
+    assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
+    processes.node("publish", CHAT, "5")
+    processes.node("publish", CHAT, "5", **partitioned)
+    asker = processes.node("127.0.0.1", script=writers_script)
+    assert json.loads(processes.line(asker, 60)) == [[], ["understudy-pod-a", "second"]]
 
 
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="network namespaces need root")

@@ -2,7 +2,7 @@
 
 A bare participant joins the robot's graph briefly, and leaves it again. It has only discovery's own endpoints, so nobody sends data to
 it and no node appears. A discovery server announces all endpoints to it, as to a super client. Without a server, every participant
-announces its own.
+announces its own. With the range LOCALHOST, the participants of this host are asked one by one.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import itertools
 import logging
 import secrets
 import socket
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TypeVar
 
@@ -40,6 +40,10 @@ PORTS, _OURS = 250, 50
 accepts the ports of a domain accepts these.
 """
 
+_FIRST_PARTICIPANT, _LOCAL = 10, 32
+"""The port of the first participant after the first one of a domain, and how many participants of a host find each other without
+multicast: as many as in rmw_fastrtps."""
+
 _SERVER = bytes.fromhex("4453005f4550524f53494d41")
 """GUID prefix of the first discovery server of a list. A robot has no other."""
 
@@ -53,6 +57,13 @@ class Discovery:
     prefix: bytes = b""
     """GUID prefix of a discovery server; empty for all participants that receive the announcement."""
     domain: int = 0
+    participants: int = 1
+    """Number of participants that are asked one by one, from this port on. One also stands for a server, and for a multicast address."""
+
+    @property
+    def ports(self) -> range:
+        """Where the participants listen for discovery: every second port."""
+        return range(self.port, self.port + 2 * self.participants, 2)
 
     @classmethod
     def of(cls, environment: Mapping[str, str]) -> Discovery:
@@ -61,6 +72,10 @@ class Discovery:
         if server:
             host, _, port = server.rpartition(":")
             return cls(host, int(port), _SERVER, domain)
+        if (
+            environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() == "LOCALHOST"
+        ):  # then nobody listens at the multicast address
+            return cls("127.0.0.1", first_port(domain) + _FIRST_PARTICIPANT, domain=domain, participants=_LOCAL)
         return cls("239.255.0.1", first_port(domain), domain=domain)
 
 
@@ -129,7 +144,7 @@ async def _asked(
         listener.setblocking(False)
         listener.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(address))
         _bind(listener, discovery.domain)
-        to = (str(found[0][4][0]), discovery.port)
+        to = [(str(found[0][4][0]), port) for port in discovery.ports]
         at = Locator(address, listener.getsockname()[1])
         visit = _Visit(lambda seen: len(answer(seen)) == complete, endpoints, at, to, discovery.prefix)
         visit.transport, _ = await loop.create_datagram_endpoint(lambda: visit, sock=listener)
@@ -166,7 +181,7 @@ class _Visit(asyncio.DatagramProtocol):
         enough: Callable[[_Announced], bool],
         endpoints: rtps.Endpoints,
         at: Locator,
-        to: tuple[str, int],
+        to: Sequence[tuple[str, int]],
         server: bytes,
     ) -> None:
         self.announced = _Announced()
@@ -196,7 +211,7 @@ class _Visit(asyncio.DatagramProtocol):
 
     def _send(self, datagram: bytes, to: Iterable[Locator] = ()) -> None:
         if self.transport is not None:
-            for place in [(one.address, one.port) for one in to] or [self._to]:
+            for place in [(one.address, one.port) for one in to] or self._to:
                 self.transport.sendto(datagram, place)
 
     # -- asyncio.DatagramProtocol -------------------------------------------------------------------------------------

@@ -141,9 +141,12 @@ def replace_line(out: TextIO, text: str) -> None:
     out.flush()
 
 
-def draw(out: TextIO, screen: Sequence[str]) -> None:
-    """Write as many of these lines as fit. A line that fills its row loses its last character."""
+READ_ONLY = "Press Ctrl-C to exit. This view is read-only."
+
+
+def draw(out: TextIO, screen: Sequence[str], foot: str = READ_ONLY) -> None:
+    """Write as many of these lines as fit, and one at the foot. A line that fills its row loses its last character."""
     # DECAWM is off meanwhile, so that the terminal cuts long lines.
     body = "".join(f"{_escaped(line, _IN_ROWS)}\x1b[K\r\n" for line in screen[: rows()])
-    _raw(out).write(f"\x1b[?7l\x1b[H{body}\x1b[J\x1b[?7h\r\nPress Ctrl-C to exit. This view is read-only.\x1b[K")
+    _raw(out).write(f"\x1b[?7l\x1b[H{body}\x1b[J\x1b[?7h\r\n{foot}\x1b[K")
     out.flush()
