@@ -8,7 +8,19 @@ from typing import Any
 
 import yaml
 
-from scripts.generation import commands, diagrams, leaves, metrics, networks, precedence, reference, scenarios, values
+from scripts.generation import (
+    commands,
+    diagrams,
+    figures,
+    leaves,
+    metrics,
+    networks,
+    precedence,
+    reference,
+    scenarios,
+    tables,
+    values,
+)
 from understudy.api.schema.definitions import definitions
 
 CHART = Path("charts/understudy")
@@ -69,7 +81,7 @@ def outputs(root: Path) -> dict[Path, str]:
     result[LIMITS] = values.between_markers(
         (root / LIMITS).read_text(), precedence.table(), precedence.BEGIN, precedence.END
     )
-    results = root / "bench" / "results"
+    results = root / figures.RESULTS
     for page, parts in {
         README: ((networks.summary(results), networks.SUMMARY_BEGIN, networks.SUMMARY_END),),
         NETWORKS: (
@@ -89,4 +101,10 @@ def outputs(root: Path) -> dict[Path, str]:
         result[page] = (root / page).read_text()
         for text, begin, end in parts:
             result[page] = values.between_markers(result[page], text, begin, end)
+    for page in figures.pages(root):
+        text = result[page] if page in result else (root / page).read_text()
+        try:
+            result[page] = figures.in_sentences(tables.in_page(text, results), results)
+        except ValueError as error:
+            raise ValueError(f"{page}: {error}") from None
     return result
