@@ -19,6 +19,7 @@ from scripts.generation import (
     reference,
     scenarios,
     tables,
+    tested,
     values,
 )
 from understudy.api.schema.definitions import definitions
@@ -55,8 +56,8 @@ def to_yaml(data: Mapping[str, Any]) -> str:
 def outputs(root: Path) -> dict[Path, str]:
     """Return the text of every generated file by its path in the project.
 
-    ``root`` is the folder with the hand-written parts: the chart's values, its README around the table, and the pages
-    about trees.
+    ``root`` is the folder with what is read: the chart's values, the pages around tables and figures, the results of benches,
+    and the end-to-end tests.
     """
     header = "# Written by scripts/generate from the models in operator/understudy/api: change those.\n"
     result: dict[Path, str] = {}
@@ -68,6 +69,7 @@ def outputs(root: Path) -> dict[Path, str]:
     result[REFERENCE / "leaves.md"] = leaves.page()
     result[REFERENCE / "cli.md"] = commands.page()
     result[REFERENCE / "metrics.md"] = metrics.page()
+    result[REFERENCE / "tested.md"] = tested.page(root)
     result[IMAGES / "architecture.svg"] = diagrams.architecture()
     result[IMAGES / "failover-steps.svg"] = diagrams.failover()
     result[IMAGES / "pipeline.svg"] = diagrams.pipeline()

@@ -24,7 +24,8 @@ def _generate(*arguments: str) -> subprocess.CompletedProcess[str]:
 def copy(tmp_path: Path) -> Path:
     """A copy of the files that are generated, and of what is read for that."""
     results = [path.relative_to(REPOSITORY) for path in (REPOSITORY / "bench" / "results").glob("*.json")]
-    for path in [*outputs(REPOSITORY), Path("charts/understudy/values.yaml"), Path("docs/trees.md"), *results]:
+    tests = [path.relative_to(REPOSITORY) for path in (REPOSITORY / "tests" / "e2e").glob("test_*.py")]
+    for path in [*outputs(REPOSITORY), Path("charts/understudy/values.yaml"), Path("docs/trees.md"), *results, *tests]:
         (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(REPOSITORY / path, tmp_path / path)
     return tmp_path
