@@ -8,7 +8,20 @@ from typing import Any
 
 import yaml
 
-from scripts.generation import commands, diagrams, leaves, metrics, networks, precedence, reference, scenarios, values
+from scripts.generation import (
+    commands,
+    diagrams,
+    figures,
+    leaves,
+    metrics,
+    networks,
+    precedence,
+    reference,
+    scenarios,
+    tables,
+    tested,
+    values,
+)
 from understudy.api.schema.definitions import definitions
 
 CHART = Path("charts/understudy")
@@ -43,8 +56,8 @@ def to_yaml(data: Mapping[str, Any]) -> str:
 def outputs(root: Path) -> dict[Path, str]:
     """Return the text of every generated file by its path in the project.
 
-    ``root`` is the folder with the hand-written parts: the chart's values, its README around the table, and the pages
-    about trees.
+    ``root`` is the folder with what is read: the chart's values, the pages around tables and figures, the results of benches,
+    and the end-to-end tests.
     """
     header = "# Written by scripts/generate from the models in operator/understudy/api: change those.\n"
     result: dict[Path, str] = {}
@@ -56,6 +69,7 @@ def outputs(root: Path) -> dict[Path, str]:
     result[REFERENCE / "leaves.md"] = leaves.page()
     result[REFERENCE / "cli.md"] = commands.page()
     result[REFERENCE / "metrics.md"] = metrics.page()
+    result[REFERENCE / "tested.md"] = tested.page(root)
     result[IMAGES / "architecture.svg"] = diagrams.architecture()
     result[IMAGES / "failover-steps.svg"] = diagrams.failover()
     result[IMAGES / "pipeline.svg"] = diagrams.pipeline()
@@ -69,7 +83,7 @@ def outputs(root: Path) -> dict[Path, str]:
     result[LIMITS] = values.between_markers(
         (root / LIMITS).read_text(), precedence.table(), precedence.BEGIN, precedence.END
     )
-    results = root / "bench" / "results"
+    results = root / figures.RESULTS
     for page, parts in {
         README: ((networks.summary(results), networks.SUMMARY_BEGIN, networks.SUMMARY_END),),
         NETWORKS: (
@@ -89,4 +103,10 @@ def outputs(root: Path) -> dict[Path, str]:
         result[page] = (root / page).read_text()
         for text, begin, end in parts:
             result[page] = values.between_markers(result[page], text, begin, end)
+    for page in figures.pages(root):
+        text = result[page] if page in result else (root / page).read_text()
+        try:
+            result[page] = figures.in_sentences(tables.in_page(text, results), results)
+        except ValueError as error:
+            raise ValueError(f"{page}: {error}") from None
     return result

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from scripts.generation import figures
 
 BEGIN = "<!-- networks: written by scripts/generate from bench/results -->"
 END = "<!-- end of networks -->"
@@ -60,22 +61,23 @@ _HANDOVERS = ("Switch", "BreakBeforeMake")
 
 
 def summary(results: Path) -> str:
-    """Return what is known of each network, with p50 and p95 of a switch in ms, as Markdown."""
+    """Return what is known of each network, with p50 and p95 of a switch in ms and the files of these, as Markdown."""
     columns = ("network", "flows that exist at a change", "switch, p50 / p95", "NetworkPolicies as the gate")
     lines = [f"| {' | '.join(columns)} | [mux](docs/mux.md) as the gate |", "| --- | --- | --- | --- | --- |"]
     bench, figure = _COLUMNS["switch"]
     for one in _NETWORKS:
-        found = _read(results / f"{bench}{one.ending}.json") if one.ending is not None else {}
+        found = figures.read(results / f"{bench}{one.ending}.json") if one.ending is not None else {}
         switch = _cell(found, figure, of=("p50", "p95"))
         lines.append(f"| {one.name} | {one.flows} | {switch and f'{switch} ms'} | {one.gate} | {one.mux} |")
-    return "\n".join(lines)
+    files = (f"{bench}{one.ending}" for one in _NETWORKS if one.ending is not None)
+    return "\n".join([*lines, "", figures.sources(results, files)])
 
 
 def table(results: Path) -> str:
     """Return p50, p95 and maximum of each figure in ms, by network, as Markdown."""
     lines = [f"| network | {' | '.join(_COLUMNS)} | measured |", f"| --- |{' --- |' * (len(_COLUMNS) + 1)}"]
     for ending, network in _MEASURED.items():
-        found = {bench: _read(results / f"{bench}{ending}.json") for bench in ("recovery", "reflex")}
+        found = {bench: figures.read(results / f"{bench}{ending}.json") for bench in ("recovery", "reflex")}
         if any(found.values()):
             cells = [_cell(found[bench], figure) for bench, figure in _COLUMNS.values()]
             runs = [_run(one) for one in found.values() if one]
@@ -87,7 +89,7 @@ def handovers(results: Path) -> str:
     """Return p50, p95 and maximum of both ways of a handover in ms, by network, as Markdown."""
     lines = ["| network | `handover` | no command | both open | measured |", f"|{' --- |' * 5}"]
     for ending, network in _MEASURED.items():
-        found = _read(results / f"handover{ending}.json")
+        found = figures.read(results / f"handover{ending}.json")
         for handover in _HANDOVERS:
             gap, both = (_cell(found, f"{handover}: {name}", digits=1) for name in ("gap", "both open"))
             if gap:
@@ -96,11 +98,7 @@ def handovers(results: Path) -> str:
 
 
 def _run(result: Any) -> str:
-    return f"{result['date'][:10]} on {result['commit'][:8]}"
-
-
-def _read(file: Path) -> Any:
-    return json.loads(file.read_text()) if file.is_file() else {}
+    return f"{result['date'][:10]} on {figures.short(result['commit'])}"
 
 
 def _cell(result: Any, figure: str, digits: int = 0, of: tuple[str, ...] = ("p50", "p95", "max")) -> str:

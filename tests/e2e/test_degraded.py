@@ -83,6 +83,7 @@ class Degrading(Cell):
 
 
 @pytest.mark.long
+@pytest.mark.shows("leaf/topic")
 def test_a_degraded_workload_is_reported_and_resized_in_place_without_a_failover(kubectl: Kubectl) -> None:
     cell = Degrading(kubectl, {"resize": {"container": "app", "cpu": AFTER}})
     active = cell.wait_well()

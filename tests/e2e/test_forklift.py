@@ -6,6 +6,7 @@ import json
 from itertools import groupby
 from pathlib import Path
 
+import pytest
 import yaml
 
 from tests.e2e.kubectl import Kubectl, Object
@@ -31,6 +32,7 @@ class Forklift(Robot):
         return {name: [one for one in found if one["event"] == name and one["received"] >= since] for name in PERIODS}
 
 
+@pytest.mark.shows("output/topic", "output/service", "gate/Mux")
 def test_a_switch_changes_both_topics_and_the_service_at_once(kubectl: Kubectl) -> None:
     for file in sorted(MANIFESTS.glob("*.yaml")):
         kubectl.apply(patient(list(yaml.safe_load_all(file.read_text()))))

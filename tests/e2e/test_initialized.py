@@ -48,6 +48,7 @@ def wait_standing_by(robot: Robot) -> None:
 @pytest.mark.parametrize(
     "how", [pytest.param("killed", marks=pytest.mark.long), "frozen", pytest.param("deleted", marks=pytest.mark.long)]
 )
+@pytest.mark.shows("strategy/Fallback", "readiness/Initialized", "step/set_lifecycle", "step/wait_for")
 def test_a_configured_standby_is_activated_and_takes_over(managed: Robot, how: str) -> None:
     old = managed.wait_protected()
     wait_counted(managed, 1)
@@ -70,6 +71,7 @@ def test_a_configured_standby_is_activated_and_takes_over(managed: Robot, how: s
 
 @pytest.mark.long
 @pytest.mark.own_robot  # its pool is deleted
+@pytest.mark.shows("condition/lifecycle_is")
 def test_a_standby_counts_only_while_its_check_holds_and_is_replaced_otherwise(managed: Robot) -> None:
     active = managed.wait_protected()
     wait_counted(managed, 1)
@@ -101,6 +103,7 @@ def test_a_standby_counts_only_while_its_check_holds_and_is_replaced_otherwise(m
     )
 
 
+@pytest.mark.shows("strategy/Restart", "step/set_lifecycle")
 def test_a_restarted_managed_application_is_brought_up_again(kubectl: Kubectl, gate_kind: str) -> None:
     robot = Robot(kubectl, gate_kind=gate_kind)
     kubectl.apply(manifest("strategies/restart.yaml"))

@@ -80,6 +80,7 @@ def said_by(robot: Robot, pod: str) -> list[str]:
 
 
 @pytest.mark.long
+@pytest.mark.shows("step/restore_state", "step/wait_for", "condition/node_present", "readiness/Initialized")
 def test_a_standby_receives_new_state_while_it_waits_and_uses_it_after_the_takeover(robot: Robot) -> None:
     old = robot.wait_protected()
     (standby,) = (pod["metadata"]["name"] for pod in standbys(robot) if is_ready(pod))

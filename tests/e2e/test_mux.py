@@ -30,6 +30,7 @@ def reported(robot: Robot, pod: str) -> bool:
     return condition.get("reason") == "ReportedByMux" and f"forwards {pod} and nobody else" in condition["message"]
 
 
+@pytest.mark.shows("gate/Mux", "readiness/Executing")
 def test_a_standby_takes_over_through_the_mux(kubectl: Kubectl) -> None:
     robot = muxed(kubectl, "executing")
     first = robot.wait_protected()
@@ -47,6 +48,7 @@ def test_a_standby_takes_over_through_the_mux(kubectl: Kubectl) -> None:
     )
 
 
+@pytest.mark.shows("gate/Mux", "readiness/Uninitialized")
 def test_a_held_pod_is_claimed_and_drives_through_the_mux(kubectl: Kubectl) -> None:
     robot = muxed(kubectl, "uninitialized")
     first = robot.wait_protected()

@@ -58,6 +58,7 @@ def assert_clean(navigator: Navigator, number: int) -> None:
     "configuration",
     [pytest.param(name, marks=() if name in OFTEN else pytest.mark.long) for name in CONFIGURATIONS],
 )
+@pytest.mark.shows("step/publish", "step/restore_state", "step/set_lifecycle", "step/wait_for")
 def test_all_goals_are_reached_though_the_stack_is_lost_twice(
     request: pytest.FixtureRequest, configuration: str
 ) -> None:
@@ -101,6 +102,7 @@ def test_all_goals_are_reached_though_the_stack_is_lost_twice(
         pytest.param("KILL", "amcl", "/amcl_pose|/cmd_vel", id="localization dead", marks=pytest.mark.long),
     ],
 )
+@pytest.mark.shows("leaf/topic")
 def test_one_node_that_fails_is_noticed_and_the_goal_is_reached(
     navigator: Navigator, number: str, node: str, missed: str
 ) -> None:

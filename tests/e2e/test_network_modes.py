@@ -163,6 +163,7 @@ def assert_switched(robot: Robot, network: Network, mode: Mode, *, is_undeleted:
 
 
 @pytest.mark.parametrize("mode", list(MODES))
+@pytest.mark.shows("gate/NetworkPolicy")
 def test_the_gate_in_a_mode_of_the_network(executing: Robot, network: Network, mode: str) -> None:
     assert_fenced(executing, network, MODES[mode])
     assert_switched(executing, network, MODES[mode])

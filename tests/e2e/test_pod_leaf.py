@@ -25,6 +25,7 @@ def restarts(robot: Robot, pod: str) -> int:
 
 
 @pytest.mark.long
+@pytest.mark.shows("leaf/pod")
 def test_one_restart_is_allowed_and_the_next_is_one_too_many(kubectl: Kubectl, gate_kind: str) -> None:
     robot = Robot(kubectl, gate_kind=gate_kind)
     kubectl.apply(looking_at({"restarts": 1, "window": "10m"}))
@@ -45,6 +46,7 @@ def test_one_restart_is_allowed_and_the_next_is_one_too_many(kubectl: Kubectl, g
 
 
 @pytest.mark.long
+@pytest.mark.shows("leaf/pod")
 def test_a_pod_that_is_no_longer_ready_fails_though_its_outputs_flow(kubectl: Kubectl, gate_kind: str) -> None:
     def with_probe(item: Object) -> None:
         [container] = item["spec"]["template"]["spec"]["containers"]

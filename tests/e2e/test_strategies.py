@@ -51,6 +51,16 @@ def assert_handed_over(robot: Robot, recovery: Recovered, *, expires: bool = Tru
 
 @pytest.mark.own_robot  # what the pool counts depends on which pods drove before
 @pytest.mark.parametrize("how", often("frozen"))
+@pytest.mark.shows(
+    "leaf/topic",
+    "language/yaml",
+    "strategy/Fallback",
+    "handover/Switch",
+    "readiness/Executing",
+    "output/topic",
+    "gate/NetworkPolicy",
+    "gate/Mux",
+)
 def test_an_executing_standby_takes_over(executing: Robot, how: str) -> None:
     old = executing.wait_protected()
     executing.fail(old, how)
@@ -65,6 +75,7 @@ def test_an_executing_standby_takes_over(executing: Robot, how: str) -> None:
 
 
 @pytest.mark.network_policy  # a mux switches at once in any case
+@pytest.mark.shows("leaf/pod", "handover/BreakBeforeMake", "gate/NetworkPolicy")
 def test_break_before_make_opens_the_gate_on_one_node_after_it_was_seen_closed_on_another(kubectl: Kubectl) -> None:
     robot = Robot(kubectl)
     kubectl.apply(handovers.objects(robot, handover="BreakBeforeMake", hertz=HERTZ))
@@ -88,6 +99,7 @@ def test_break_before_make_opens_the_gate_on_one_node_after_it_was_seen_closed_o
 
 
 @pytest.mark.parametrize("how", often("frozen"))
+@pytest.mark.shows("strategy/Fallback", "readiness/Uninitialized")
 def test_a_held_pod_is_claimed_started_and_takes_over(uninitialized: Robot, how: str) -> None:
     old = uninitialized.wait_protected()
     uninitialized.fail(old, how)
@@ -98,6 +110,7 @@ def test_a_held_pod_is_claimed_started_and_takes_over(uninitialized: Robot, how:
 
 
 @pytest.mark.parametrize("how", often("deleted"))
+@pytest.mark.shows("strategy/Restart")
 def test_the_pod_is_restarted(restarting: Robot, how: str) -> None:
     old = restarting.wait_protected()
     restarting.fail(old, how)

@@ -276,6 +276,7 @@ class Fates(Cell):
 
 
 @pytest.mark.long
+@pytest.mark.shows("step/resend_goals", "step/wait_for")
 def test_a_goal_is_aborted_or_sent_by_the_recovery_tree_as_its_task_says(kubectl: Kubectl) -> None:
     cell = Fates(kubectl)
     first = cell.wait_protected()

@@ -65,6 +65,7 @@ def assert_ordinary(motions: list[Motion]) -> None:
         pytest.param(slice(1, None), "Restart", id="restart", marks=pytest.mark.long),
     ],
 )
+@pytest.mark.shows("leaf/motion")
 def test_a_robot_that_stands_while_all_is_well_inside_is_seen_and_drives_again(
     kubectl: Kubectl, strategies: slice, expected: str
 ) -> None:

@@ -23,9 +23,9 @@ def _generate(*arguments: str) -> subprocess.CompletedProcess[str]:
 @pytest.fixture
 def copy(tmp_path: Path) -> Path:
     """A copy of the files that are generated, and of what is read for that."""
-    folder = REPOSITORY / "bench" / "results"
-    results = [path.relative_to(REPOSITORY) for name in ("re*", "handover*") for path in folder.glob(f"{name}.json")]
-    for path in [*outputs(REPOSITORY), Path("charts/understudy/values.yaml"), Path("docs/trees.md"), *results]:
+    results = [path.relative_to(REPOSITORY) for path in (REPOSITORY / "bench" / "results").glob("*.json")]
+    tests = [path.relative_to(REPOSITORY) for path in (REPOSITORY / "tests" / "e2e").glob("test_*.py")]
+    for path in [*outputs(REPOSITORY), Path("charts/understudy/values.yaml"), Path("docs/trees.md"), *results, *tests]:
         (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(REPOSITORY / path, tmp_path / path)
     return tmp_path
@@ -52,8 +52,10 @@ def test_the_check_passes_without_changes_and_writes_nothing(copy: Path) -> None
     [
         ("crds/understudy.dev_robotworkloads.yaml", "maximum: 101", "maximum: 102"),
         ("charts/understudy/README.md", "| `crds.keep` |", "| `crds.kept` |"),
+        ("examples/navigation/README.md", "| t_recovery | 4.75 |", "| t_recovery | 3.75 |"),
+        ("docs/figures.md", "costs 10.2<!--", "costs 10.1<!--"),
     ],
-    ids=["definition", "table-of-values"],
+    ids=["definition", "table-of-values", "table-of-figures", "figure-in-a-sentence"],
 )
 def test_the_check_names_an_outdated_file_and_generate_repairs_it(copy: Path, path: str, was: str, became: str) -> None:
     good = (copy / path).read_text()
