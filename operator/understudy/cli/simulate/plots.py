@@ -15,7 +15,7 @@ from understudy.trees.core.leaf import duration
 WIDTH, LANE, REST, DOTS = 12.0, 0.55, 1.75, 150
 """The width of the picture, the height of a lane, the height around the lanes (all in inches), and dots per inch."""
 
-_COLOURS = {
+COLOURS = {
     **{state: palette.pale(palette.STATES[state], 0.45) for state in ("Healthy", "Starting", "Failed")},
     **dict.fromkeys(("Idle", "Unasked"), palette.pale(palette.GREY, 0.12)),
 }
@@ -66,8 +66,8 @@ def _bands(axes: Any, row: int, spans: Sequence[Span], start: float, height: flo
         axes.broken_barh(
             [(span.started - start, ended - span.started)],
             (row - height / 2, height),
-            facecolors=_COLOURS[span.state],
-            edgecolors=_COLOURS[span.state],
+            facecolors=COLOURS[span.state],
+            edgecolors=COLOURS[span.state],
             linewidth=0.4,
         )
 
@@ -128,7 +128,7 @@ def _legend(spans: dict[str, list[Span]], detected: bool, onsets: bool) -> Itera
     from matplotlib.patches import Patch
 
     states = {span.state for one in spans.values() for span in one}
-    words = {_WORDS[state]: _COLOURS[state] for state in _COLOURS if state in states}
+    words = {_WORDS[state]: COLOURS[state] for state in COLOURS if state in states}
     for word, colour in words.items():
         yield Patch(facecolor=colour, label=word)
     yield Line2D([], [], color=palette.INK, marker="|", linestyle="none", markersize=8, label="message")
