@@ -29,9 +29,9 @@ FROM base AS requirements
 COPY pyproject.toml constraints.txt docker/requirements.py /requirements/
 RUN cd /requirements && \
     python requirements.py . --build >build.txt && \
-    python requirements.py . >operator.txt && \
-    python requirements.py . ros >monitor.txt && \
-    python requirements.py . ros tracker >tracker.txt && \
+    python requirements.py . operator >operator.txt && \
+    python requirements.py . operator ros >monitor.txt && \
+    python requirements.py . operator ros tracker >tracker.txt && \
     touch --date=@0 *.txt
 
 FROM base AS tools

@@ -6,12 +6,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from statistics import fmean
 
-from understudy_demo.plot import COLOURS
 from understudy_demo.recovery import PARTS
 
+from understudy.cli.common import palette
 from understudy.cli.common.text.time_bars import NAMES
-
-_GROUPS = ("#1b3a57", "#b45309", "#0f766e", "#7b2d8b", "#9d174d", "#4d4d4d", "#94a3b8")
 
 
 def recovery_times(
@@ -31,7 +29,7 @@ def recovery_times(
         configuration: [sum(times) for times in zip(*(found[part] for part in PARTS), strict=True)]
         for configuration, found in parts.items()
     }
-    colours = {NAMES[part]: COLOURS[part] for part in PARTS}
+    colours = {NAMES[part]: palette.PARTS[part] for part in PARTS}
     _draw(means, colours, path, title=title, unit="seconds", digits=2, dots=dots, references=references)
 
 
@@ -43,7 +41,7 @@ def cpu(groups: Mapping[str, Mapping[str, float]], path: Path, *, title: str) ->
         path: the file of the picture; its ending selects the format.
     """
     names = list(dict.fromkeys(name for found in groups.values() for name in found))
-    colours = {name: _GROUPS[n % len(_GROUPS)] for n, name in enumerate(names)}
+    colours = {name: palette.SERIES[n % len(palette.SERIES)] for n, name in enumerate(names)}
     _draw(groups, colours, path, title=title, unit="milli-CPU", digits=0, dots={}, references={})
 
 
@@ -72,15 +70,15 @@ def _draw(
             axes.bar(place, height, 0.62, bottom=bottom, color=colour, label=name if place == 0 else None)
             bottom += height
         spread = dots.get(configuration, ())
-        axes.plot([place + 0.38] * len(spread), spread, "o", color="#333333", markersize=3, alpha=0.6)
+        axes.plot([place + 0.38] * len(spread), spread, "o", color=palette.INK, markersize=3, alpha=0.6)
         top = max([bottom, *spread])
         axes.annotate(
             f"{bottom:.{digits}f}", (place, top), xytext=(0, 5), textcoords="offset points", ha="center", fontsize=10
         )
     for name, height in references.items():
-        axes.axhline(height, color="#888888", linewidth=1, linestyle="--")
+        axes.axhline(height, color=palette.RULE, linewidth=1, linestyle="--")
         axes.annotate(name, (1, height), xycoords=("axes fraction", "data"), xytext=(-4, 3),
-                      textcoords="offset points", ha="right", fontsize=8, color="#555555")  # fmt: skip
+                      textcoords="offset points", ha="right", fontsize=8, color=palette.FAINT)  # fmt: skip
     axes.set_xticks(range(len(bars)), [name.replace(" ", "\n") for name in bars])
     axes.set_ylabel(unit)
     axes.set_title(title, loc="left", fontsize=11)

@@ -110,7 +110,7 @@ python_environment() {
         xargs sha256sum | cat - <("$base" --version) | sha256sum | cut -c 1-12)
     interfaces=$CACHE/interfaces-$wanted
     # What is installed decides, and not what else is in constraints.txt.
-    wanted=$("${requirements[@]}" ros dev) || fail "constraints.txt does not suit pyproject.toml"
+    wanted=$("${requirements[@]}" operator ros dev) || fail "constraints.txt does not suit pyproject.toml"
     wanted=$({ echo "$wanted" "$interfaces" && "$base" --version; } | sha256sum | cut -c 1-12)
     folder=$CACHE/venv-$wanted
     PYTHON=$folder/bin/python
@@ -126,7 +126,7 @@ python_environment() {
         rm -rf "$folder"
         "$base" -m venv "$folder"
         "${requirements[@]}" --build >"$folder/build.txt"
-        "${requirements[@]}" ros dev >"$folder/requirements.txt"
+        "${requirements[@]}" operator ros dev >"$folder/requirements.txt"
         quietly pip-build "$folder/bin/pip" install --disable-pip-version-check --require-hashes --requirement "$folder/build.txt"
         # Packages without a wheel are built with what was just installed: pip would fetch other tools, without their hashes.
         quietly pip "$folder/bin/pip" install --disable-pip-version-check --use-pep517 --no-build-isolation \

@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
+from understudy.cli.common import palette
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-COLOURS = ("#94a3b8", "#0f766e", "#1b3a57", "#b45309", "#7b2d8b", "#9d174d")
 
 
 def _axes(width: float = 7.0) -> tuple[Figure, Axes]:
     figure = Figure(figsize=(width, 4.2), layout="constrained")
     axes = figure.subplots()
-    axes.grid(color="#e5e7eb", linewidth=0.6)
+    axes.grid(color=palette.GRID, linewidth=0.6)
     axes.spines[["top", "right"]].set_visible(False)
     return figure, axes
 
@@ -28,11 +28,13 @@ def latencies(values: Mapping[int, Sequence[float]], bound: float, path: Path, *
     """Draw the share of claims that took at most a given time (in ms), by number of robots. The bound is for the 99th
     percentile."""
     figure, axes = _axes()
-    for colour, (robots, found) in zip(COLOURS, sorted(values.items()), strict=False):
+    for colour, (robots, found) in zip(palette.SERIES, sorted(values.items()), strict=False):
         ordered = sorted(found)
         shares = [(n + 1) / len(ordered) for n in range(len(ordered))]
         axes.step(ordered, shares, where="post", color=colour, label=f"{robots} robots ({len(ordered)} claims)")
-    axes.plot([bound], [0.99], marker="x", color="#b91c1c", linestyle="none", label=f"bound: 99 % within {bound:g} ms")
+    axes.plot(
+        [bound], [0.99], marker="x", color=palette.LIMIT, linestyle="none", label=f"bound: 99 % within {bound:g} ms"
+    )
     axes.set(xscale="log", xlabel="ms from the decision to the API server's answer", ylim=(0, 1.02), title=title)
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     axes.legend(frameon=False)
@@ -42,7 +44,7 @@ def latencies(values: Mapping[int, Sequence[float]], bound: float, path: Path, *
 def recoveries(values: Mapping[int, Sequence[float]], path: Path, *, title: str) -> None:
     """Draw how many robots are driven again at each second after all of them failed, by number of robots."""
     figure, axes = _axes()
-    for colour, (robots, found) in zip(COLOURS, sorted(values.items()), strict=False):
+    for colour, (robots, found) in zip(palette.SERIES, sorted(values.items()), strict=False):
         ordered = sorted(found)
         axes.step([0.0, *ordered], range(len(ordered) + 1), where="post", color=colour, label=f"{robots} robots")
     axes.set(
@@ -64,11 +66,18 @@ def growth(values: Mapping[str, Mapping[int, float]], path: Path, *, title: str)
         first = found[min(found)]
         if first > 0:
             ratios = [found[size] / first for size in sorted(found)]
-            style = "o-" if number < len(COLOURS) else "s--"
-            axes.plot(sorted(found), ratios, style, color=COLOURS[number % len(COLOURS)], markersize=4, label=name)
+            style = "o-" if number < len(palette.SERIES) else "s--"
+            axes.plot(
+                sorted(found),
+                ratios,
+                style,
+                color=palette.SERIES[number % len(palette.SERIES)],
+                markersize=4,
+                label=name,
+            )
     straight = [size / sizes[0] for size in sizes]
-    axes.plot(sizes, straight, color="#9ca3af", linestyle=":", label="in proportion")
-    axes.plot(sizes, [ratio**2 for ratio in straight], color="#b91c1c", linestyle=":", label="with the square")
+    axes.plot(sizes, straight, color=palette.RULE, linestyle=":", label="in proportion")
+    axes.plot(sizes, [ratio**2 for ratio in straight], color=palette.LIMIT, linestyle=":", label="with the square")
     axes.set(xscale="log", yscale="log", xlabel="robots", ylabel=f"times what it is for {sizes[0]}", title=title)
     axes.set_xticks(sizes, [str(size) for size in sizes])
     axes.minorticks_off()

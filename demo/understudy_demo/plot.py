@@ -7,12 +7,10 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from understudy.cli.common import palette
 from understudy.cli.common.text.time_bars import NAMES, length, short
 from understudy_demo.recovery import PARTS, Recovered
 from understudy_demo.robotview import RobotLog
-
-COLOURS = {"detection": "#f4c95d", "cluster": "#c0392b", "startup": "#5fa777", "reinitialization": "#5b8db8"}
-_SOURCES = ("#1b3a57", "#7b2d8b", "#0f766e", "#b45309", "#4d4d4d", "#9d174d")
 
 
 def draw(log: RobotLog, recoveries: Sequence[Recovered], path: Path, *, title: str) -> None:
@@ -25,7 +23,7 @@ def draw(log: RobotLog, recoveries: Sequence[Recovered], path: Path, *, title: s
 
     shown = [r for r in recoveries if r.start is not None]
     sources = log.sources()
-    colours = {source: _SOURCES[n % len(_SOURCES)] for n, source in enumerate(sources)}
+    colours = {source: palette.SERIES[n % len(palette.SERIES)] for n, source in enumerate(sources)}
     columns = max(1, len(shown))
     figure = plt.figure(figsize=(5.4 * columns, 8.2), layout="constrained")
     grid = figure.add_gridspec(3, columns, height_ratios=(1.0, 1.25, 0.9))
@@ -60,7 +58,7 @@ def draw(log: RobotLog, recoveries: Sequence[Recovered], path: Path, *, title: s
         above = figure.add_subplot(grid[1, column])
         below = figure.add_subplot(grid[2, column], sharex=above)
         _commands(above, part, names, colours, recovered.start, size=9)
-        below.plot([m.time - recovered.start for m in part.motions], [m.speed for m in part.motions], color="#222222")
+        below.plot([m.time - recovered.start for m in part.motions], [m.speed for m in part.motions], color=palette.INK)
         for axes in (above, below):
             _shade(axes, recovered, recovered.start)
         above.set_xlim(*span)
@@ -72,7 +70,7 @@ def draw(log: RobotLog, recoveries: Sequence[Recovered], path: Path, *, title: s
         if column == 0:
             below.set_ylabel("robot's speed, m/s")
     figure.legend(
-        handles=[Patch(color=COLOURS[part], alpha=0.55, label=NAMES[part]) for part in PARTS],
+        handles=[Patch(color=palette.PARTS[part], alpha=0.55, label=NAMES[part]) for part in PARTS],
         loc="outside lower center",
         ncols=len(PARTS),
         frameon=False,
@@ -92,7 +90,7 @@ def _commands(
     names = short(sources)
     axes.set_yticks(range(len(sources)), [names[source] for source in sources], fontsize=8)
     axes.set_ylim(len(sources) - 0.4, -0.6)
-    axes.grid(axis="x", color="#dddddd", linewidth=0.5)
+    axes.grid(axis="x", color=palette.GRID, linewidth=0.5)
     axes.set_axisbelow(True)
 
 
@@ -102,7 +100,7 @@ def _shade(axes: Any, recovered: Recovered, origin: float) -> None:
     for part in PARTS:
         seconds = recovered.parts.get(part, 0.0)
         if seconds > 0:
-            axes.axvspan(begin, begin + seconds, color=COLOURS[part], alpha=0.45, linewidth=0)
+            axes.axvspan(begin, begin + seconds, color=palette.PARTS[part], alpha=0.45, linewidth=0)
         begin += seconds
 
 

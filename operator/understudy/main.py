@@ -28,6 +28,8 @@ class Verb(NamedTuple):
     """Whether only containers that Understudy creates run it."""
     has_options: bool = True
     """False if the environment configures it, so that it parses no arguments."""
+    extra: str = ""
+    """The extra of the package without which it does not run."""
 
 
 SEE, ACT, DESIGN, SET_UP = "See", "Act", "Design", "Set up"
@@ -72,14 +74,48 @@ VERBS = (
     Verb("learn", "understudy.cli.simulate.learn", "measure gaps and rates in a recorded bag", DESIGN),
     Verb("size", "understudy.cli.plan.size", "calculate how many waiting pods a fleet needs in a shared pool", DESIGN),
     Verb("recommend", "understudy.cli.plan.recommend", "recommend strategies for a policy's requirements", DESIGN),
-    Verb("mux", "understudy.mux.process", "forward one instance to the robot, at the robot", SET_UP, has_options=False),
+    Verb(
+        "mux",
+        "understudy.mux.process",
+        "forward one instance to the robot, at the robot",
+        SET_UP,
+        has_options=False,
+        extra="ros",
+    ),
     Verb("tracker", "understudy.tracker.process", "track robots with a camera"),
-    Verb("verify", "understudy.controller.runtime.installation_test", "test the installation (used by helm test)"),
+    Verb(
+        "verify",
+        "understudy.controller.runtime.installation_test",
+        "test the installation (used by helm test)",
+        extra="operator",
+    ),
     Verb("completion", "understudy.cli.completion.command", "print the completion script of a shell", SET_UP),
-    Verb("operator", "understudy.controller.runtime.process", "reconcile the objects of the cluster", in_pods=True),
-    Verb("monitor", "understudy.monitor.process", "watch one workload and recover it", in_pods=True, has_options=False),
-    Verb("agent", "understudy.agent.process", "the sidecar of an instance", in_pods=True, has_options=False),
-    Verb("tasks", "understudy.action_proxy.process", "the action proxy of a workload", in_pods=True, has_options=False),
+    Verb(
+        "operator",
+        "understudy.controller.runtime.process",
+        "reconcile the objects of the cluster",
+        in_pods=True,
+        extra="operator",
+    ),
+    Verb(
+        "monitor",
+        "understudy.monitor.process",
+        "watch one workload and recover it",
+        in_pods=True,
+        has_options=False,
+        extra="ros",
+    ),
+    Verb(
+        "agent", "understudy.agent.process", "the sidecar of an instance", in_pods=True, has_options=False, extra="ros"
+    ),
+    Verb(
+        "tasks",
+        "understudy.action_proxy.process",
+        "the action proxy of a workload",
+        in_pods=True,
+        has_options=False,
+        extra="ros",
+    ),
     Verb(
         "prepare",
         "understudy.agent.prepare",
@@ -153,6 +189,16 @@ def _verb_first(arguments: list[str]) -> list[str]:
 def _run(verb: Verb, arguments: list[str]) -> int:
     try:
         status: int = import_frozen(verb.module).main(arguments)
+    except ModuleNotFoundError as error:
+        if not verb.extra or (error.name or __package__).partition(".")[0] == __package__:
+            traceback.print_exc()
+        else:
+            hint = f"install understudy with the extra {verb.extra}: pip install '.[{verb.extra}]' in its repository"
+            print(
+                f"understudy {verb.name} needs the Python package {error.name}, which is not installed; {hint}",
+                file=sys.stderr,
+            )
+        return 1
     except Exception:
         traceback.print_exc()
         return 1

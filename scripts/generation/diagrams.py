@@ -8,6 +8,7 @@ from typing import Any, get_args
 import understudy
 from scripts.generation.drawing import AMBER, BLUE, INK, PALE, PURPLE, RED, Diagram
 from understudy.api.kinds.fallback_pool import Readiness
+from understudy.cli.common import palette
 from understudy.cli.common.text.time_bars import NAMES
 
 
@@ -91,7 +92,7 @@ def _pod(drawn: Diagram, top: float, name: str, does: str, where: str, colour: s
     drawn.box((440, top), (240, 84), colour, fill, title=name, lines=[(does, INK), (where, PALE)], **look)
 
 
-PARTS = {"detection": "#e4e9ed", "cluster": "#f6d9d4", "startup": "#f5e3b3", "reinitialization": "#cfe2f1"}
+PARTS = {part: palette.pale(colour) for part, colour in palette.PARTS.items()}
 """The colour of each part of a recovery's time."""
 
 CLOSED, OPENED = (1.5, "cluster", "gate closed"), (1.7, "cluster", "gate opened for F")

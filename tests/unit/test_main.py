@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from types import SimpleNamespace
+from typing import NoReturn
 
 import pytest
 
@@ -56,6 +57,15 @@ def test_an_unknown_verb_is_reported_with_a_similar_one(
 ) -> None:
     assert _run(monkeypatch, typed) == 2
     assert capsys.readouterr().err == f"understudy: {message}\n"
+
+
+def test_a_verb_without_its_extra_names_it(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def missing(module: str) -> NoReturn:
+        raise ModuleNotFoundError("No module named 'kopf'", name="kopf")
+
+    monkeypatch.setattr(command, "import_frozen", missing)
+    assert _run(monkeypatch, "verify") == 1
+    assert "kopf, which is not installed; install understudy with the extra operator" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -106,7 +106,7 @@ def test_a_legend_uses_existing_labels() -> None:
 
 
 def test_every_state_has_the_same_colour_in_all_panels() -> None:
-    by_health, timeline = (_titled(title) for title in ("Robots by health", "Health, and conditions"))
+    by_health, timeline = (_titled(title) for title in ("Robots by health", "Health and conditions"))
     colours = {
         override["matcher"]["options"]: override["properties"][0]["value"]["fixedColor"]
         for override in by_health["fieldConfig"]["overrides"]

@@ -175,11 +175,11 @@ def test_a_terminal_gets_colours_and_nothing_else() -> None:
     out = Terminal()
     with terminal.guarded(out) as guarded:
         print(coloured("ok", "Healthy", colours=terminal.colours(guarded)), "\x1b[5m\x1b[8mhidden", file=guarded)
-    assert out.getvalue() == "\x1b[32mok\x1b[0m \\x1b[5m\\x1b[8mhidden\n"
+    assert out.getvalue() == "\x1b[36mok\x1b[0m \\x1b[5m\\x1b[8mhidden\n"
     out = io.StringIO()
     with terminal.guarded(out) as guarded:
         print(coloured("ok", "Healthy", colours=True), file=guarded)
-    assert out.getvalue() == "\\x1b[32mok\\x1b[0m\n", "a file gets no colours"
+    assert out.getvalue() == "\\x1b[36mok\\x1b[0m\n", "a file gets no colours"
 
 
 def test_a_screen_is_drawn_with_escaped_lines(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import pytest
 
 from tests.support.golden import assert_golden
@@ -13,6 +15,12 @@ from understudy.trees.source.problems import TreeError
 # -- mistakes -------------------------------------------------------------------------------------------------------
 
 FRONT = 'topic("/a", gap: '
+
+
+def test_a_missing_parser_is_reported_with_the_extra_that_has_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "antlr4", None)
+    with pytest.raises(TreeError, match="install understudy with the extra osc"):
+        load_osc(scenario('topic("/read_by_no_other_test", gap: 1s)'))
 
 
 @pytest.mark.parametrize(

@@ -8,19 +8,30 @@ the keys of a session also depend on what only the private key and the agent's o
 from __future__ import annotations
 
 import hashlib
+from types import ModuleType
 
-from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
+
+def _x25519() -> ModuleType:
+    """Import the algorithm. Not at the top, because the command reads the same objects as the operator, and has no use for keys."""
+    from cryptography.hazmat.primitives.asymmetric import x25519
+
+    return x25519
 
 
 def pair(seed: str) -> tuple[bytes, bytes]:
     """Return the private and the public key that follow from a random text."""
     private = hashlib.sha256(seed.encode()).digest()
-    return private, X25519PrivateKey.from_private_bytes(private).public_key().public_bytes_raw()
+    public: bytes = _x25519().X25519PrivateKey.from_private_bytes(private).public_key().public_bytes_raw()
+    return private, public
 
 
 def shared(private: bytes, public: bytes) -> bytes:
     """Return the secret that two sides share, by the private key of one and the public key of the other. Raises ValueError."""
-    return X25519PrivateKey.from_private_bytes(private).exchange(X25519PublicKey.from_public_bytes(public))
+    x25519 = _x25519()
+    secret: bytes = x25519.X25519PrivateKey.from_private_bytes(private).exchange(
+        x25519.X25519PublicKey.from_public_bytes(public)
+    )
+    return secret
 
 
 class AgentSide:
@@ -28,6 +39,7 @@ class AgentSide:
 
     def __init__(self, monitor: bytes) -> None:
         """``monitor`` is the public key of the monitor. Raises ValueError."""
-        own = X25519PrivateKey.generate()
-        self.public = own.public_key().public_bytes_raw()
-        self.shared = own.exchange(X25519PublicKey.from_public_bytes(monitor))
+        x25519 = _x25519()
+        own = x25519.X25519PrivateKey.generate()
+        self.public: bytes = own.public_key().public_bytes_raw()
+        self.shared: bytes = own.exchange(x25519.X25519PublicKey.from_public_bytes(monitor))

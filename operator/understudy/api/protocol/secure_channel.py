@@ -24,6 +24,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+# monitor_key imports it late, for the command. A process with sessions imports it at its start, and not while it watches a robot.
+import cryptography.hazmat.primitives.asymmetric.x25519  # noqa: F401
+
 from understudy.api.protocol import agent_messages as wire
 from understudy.api.protocol import monitor_key, session_keys
 from understudy.api.protocol.agent_messages import KEYED_PROTOCOL, OLDEST_PROTOCOL, PROTOCOL, ProtocolError

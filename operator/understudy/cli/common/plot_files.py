@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from understudy.cli.common import palette
 from understudy.cli.common.errors import CommandError
 
 FORMS = (".png", ".svg", ".pdf")
@@ -33,7 +34,7 @@ def axes(
     from matplotlib.figure import Figure
 
     made: Any = Figure(figsize=(width, height), dpi=dpi, layout="constrained").subplots()
-    made.grid(axis=grid, color="#dddddd", linewidth=0.6)
+    made.grid(axis=grid, color=palette.GRID, linewidth=0.6)
     made.set_axisbelow(True)
     for side in hidden:
         made.spines[side].set_visible(False)

@@ -25,6 +25,10 @@ KUBECTL_NO_FILES = ":4"
 KUBECTL_NO_FILES_AND_NO_SPACE = ":6"
 """The last line that kubectl reads: whether files may complete too, and whether a completed word may continue, as a folder does."""
 
+_PACKAGES = str(Path(__file__).parents[3])
+_PROGRAM = "import sys; sys.path.insert(0, sys.argv.pop()); from understudy.main import main; sys.exit(main())"
+"""Runs the command. The path is not in the environment, because a credential plugin that kubectl starts may be in Python too."""
+
 Completer = Callable[..., Sequence[str]]
 
 
@@ -126,7 +130,7 @@ def complete_for_kubectl() -> int:
             "COMP_LINE": line,
             "COMP_POINT": str(len(line)),
         }
-        subprocess.run([sys.executable, "-m", "understudy"], env={**os.environ, **asked}, check=False)
+        subprocess.run([sys.executable, "-c", _PROGRAM, _PACKAGES], env={**os.environ, **asked}, check=False)
         found = answer.read_text().split("\n") if answer.exists() else []
     candidates = [line.strip() for line in found if line.strip()]
     goes_on = any(word.endswith("/") for word in candidates)

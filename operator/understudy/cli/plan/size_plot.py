@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 
-from understudy.cli.common import plot_files
+from understudy.cli.common import palette, plot_files
 from understudy.cli.plan.pool_sizes import Size, outcome
 from understudy.cli.plan.size_text import percent
 
 _LEAST = 1e-4
 """The lowest risk that is drawn."""
 
-_COLOURS = {"waiting": "#1f5fa8", "loss": "#b3261e", "window": "#5c8a3a"}
+_COLOURS = {"waiting": palette.BLUE, "loss": palette.VERMILLION, "window": palette.GREEN}
 _WORDS = {
     "waiting": "has to wait for a fallback (Erlang C)",
     "loss": "finds no fallback (Erlang B)",
@@ -34,10 +34,10 @@ def draw(file: str, size: Size) -> None:
         axes.plot(counts, values, color=_COLOURS[measure], marker="o", markersize=3.5, linewidth=1.4, label=label)
         axes.plot([chosen], [here], color=_COLOURS[measure], marker="o", markersize=8)
     if size.risk is not None:
-        axes.axhline(size.risk, color="#555555", linewidth=1.0, linestyle=(0, (4, 3)))
+        axes.axhline(size.risk, color=palette.FAINT, linewidth=1.0, linestyle=(0, (4, 3)))
         axes.annotate(
             f"required: {percent(size.risk)}", (counts[-1], size.risk), xytext=(0, 4), textcoords="offset points",
-            ha="right", fontsize=8.5, color="#555555",
+            ha="right", fontsize=8.5, color=palette.FAINT,
         )  # fmt: skip
     axes.set_yscale("log")
     axes.set_ylim(_LEAST, 1.3)
@@ -53,7 +53,7 @@ def draw(file: str, size: Size) -> None:
         f"{question.robots} robots, failures per robot and hour: {question.failures_per_robot_hour:g}, refilled in {question.refill:g} s",
         loc="left", fontsize=11, fontweight="bold",
     )  # fmt: skip
-    axes.axvline(chosen, color="#999999", linewidth=0.8)
+    axes.axvline(chosen, color=palette.RULE, linewidth=0.8)
     axes.legend(loc="lower left", frameon=False, fontsize=9)
     plot_files.save(axes, file)
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from understudy.advice import order_explanation
 from understudy.advice.strategy_order import Order, RatedStrategy, most_cost, required_time
-from understudy.cli.common import plot_files
+from understudy.cli.common import palette, plot_files
 from understudy.cli.plan.recommendation import Recommendation
 from understudy.trees.core.leaf import duration
 
@@ -16,8 +16,6 @@ _LEAST = 0.005
 
 _NEAR = 1.35
 """Strategies whose times differ by less than this factor have labels above and below their marks."""
-
-_CHOSEN, _LEFT_OUT, _ALLOWED = "#1f5fa8", "#999999", "#5c8a3a"
 
 
 def draw(file: str, found: Recommendation) -> None:
@@ -32,14 +30,14 @@ def draw(file: str, found: Recommendation) -> None:
     right = max(1.1, 1.25 * max(one.cost for one in every))
     within, most = required_time(order.requirements), most_cost(order.requirements)
     axes.fill_between(
-        [-0.06 * right, min(most, right)], bottom, min(within, top), color=_ALLOWED, alpha=0.10, linewidth=0,
+        [-0.06 * right, min(most, right)], bottom, min(within, top), color=palette.ALLOWED, alpha=0.10, linewidth=0,
         label="fast enough and cheap enough",
     )  # fmt: skip
     for one in every:
         _mark(axes, order, one, below=_crowded(one, every), left=one.cost > 0.6 * right)
     first = order_explanation.strategy_name(order.first.candidate)
-    axes.plot([], [], "o", color=_CHOSEN, label=f"in the order, first {first}")
-    axes.plot([], [], "o", color=_LEFT_OUT, markerfacecolor="white", label="left out")
+    axes.plot([], [], "o", color=palette.CHOSEN, label=f"in the order, first {first}")
+    axes.plot([], [], "o", color=palette.LEFT_OUT, markerfacecolor="white", label="left out")
     axes.set_yscale("log")
     axes.set_ylim(bottom, top)
     axes.set_xlim(-0.06 * right, right)
@@ -55,7 +53,7 @@ def draw(file: str, found: Recommendation) -> None:
 def _mark(axes: Any, order: Order, one: RatedStrategy, *, below: bool, left: bool) -> None:
     """Draw a strategy with its label, which is below or left of the mark if it would overlap another or the border."""
     chosen = one in order.chosen
-    colour = _CHOSEN if chosen else _LEFT_OUT
+    colour = palette.CHOSEN if chosen else palette.LEFT_OUT
     where = (one.cost, max(_LEAST, one.seconds.value))
     axes.plot(
         *([part] for part in where), marker="o", markersize=11 if one == order.first else 7.5, color=colour,
@@ -65,7 +63,7 @@ def _mark(axes: Any, order: Order, one: RatedStrategy, *, below: bool, left: boo
     axes.annotate(
         f"{place}{order_explanation.strategy_name(one.candidate)}, {order_explanation.describe_time(one)}", where,
         xytext=(-9 if left else 9, -13 if below else 6), textcoords="offset points", ha="right" if left else "left", fontsize=8.5,
-        color=colour if chosen else "#666666",
+        color=colour if chosen else palette.FAINT,
     )  # fmt: skip
 
 

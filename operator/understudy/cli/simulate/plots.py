@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Any
 
-from understudy.cli.common import plot_files
+from understudy.cli.common import palette, plot_files
 from understudy.cli.simulate.leaf_history import Failure, Span
 from understudy.cli.simulate.replay import Replay
 from understudy.trees.core.leaf import duration
@@ -15,7 +15,10 @@ from understudy.trees.core.leaf import duration
 WIDTH, LANE, REST, DOTS = 12.0, 0.55, 1.75, 150
 """The width of the picture, the height of a lane, the height around the lanes (all in inches), and dots per inch."""
 
-_COLOURS = {"Healthy": "#cfe8cf", "Starting": "#fdeab5", "Failed": "#f2b8b0", "Idle": "#ececec", "Unasked": "#ececec"}
+COLOURS = {
+    **{state: palette.pale(palette.STATES[state], 0.45) for state in ("Healthy", "Starting", "Failed")},
+    **dict.fromkeys(("Idle", "Unasked"), palette.pale(palette.GREY, 0.12)),
+}
 _WORDS = {
     "Healthy": "healthy",
     "Starting": "starting",
@@ -23,7 +26,6 @@ _WORDS = {
     "Idle": "not evaluated",
     "Unasked": "not evaluated",
 }
-_INK, _RED, _BLUE = "#2b2b2b", "#b3261e", "#1f5fa8"
 _LONGEST = 34
 """Most characters of a leaf's path next to its lane."""
 
@@ -64,8 +66,8 @@ def _bands(axes: Any, row: int, spans: Sequence[Span], start: float, height: flo
         axes.broken_barh(
             [(span.started - start, ended - span.started)],
             (row - height / 2, height),
-            facecolors=_COLOURS[span.state],
-            edgecolors=_COLOURS[span.state],
+            facecolors=COLOURS[span.state],
+            edgecolors=COLOURS[span.state],
             linewidth=0.4,
         )
 
@@ -77,7 +79,7 @@ def _messages(axes: Any, row: int, times: array[float], start: float, length: fl
     for moment in times:
         if not shown or moment - start - shown[-1] >= dot:
             shown.append(moment - start)
-    axes.vlines(shown, row + 0.08, row + 0.3, color=_INK, linewidth=72 / DOTS)
+    axes.vlines(shown, row + 0.08, row + 0.3, color=palette.INK, linewidth=72 / DOTS)
     gaps = [(one, later) for one, later in pairwise([start, *times, start + length]) if later - one > length / 25]
     for begin, ended in sorted(gaps, key=lambda gap: gap[0] - gap[1])[:4]:
         middle = (begin + ended) / 2 - start
@@ -88,7 +90,7 @@ def _messages(axes: Any, row: int, times: array[float], start: float, length: fl
             ha="center",
             va="center",
             fontsize=7,
-            color="#555555",
+            color=palette.FAINT,
             bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 1.0},
             zorder=5,
         )
@@ -99,13 +101,13 @@ def _marks(
 ) -> None:
     """Draw lines at detections and given onsets."""
     for onset in onsets:
-        axes.axvline(onset - start, color=_BLUE, linewidth=1.2, linestyle=(0, (4, 3)))
+        axes.axvline(onset - start, color=palette.BLUE, linewidth=1.2, linestyle=(0, (4, 3)))
     free = -length
     for one in failures:
         if one.detected is None:
             continue
         at = one.detected - start
-        axes.axvline(at, color=_RED, linewidth=1.4)
+        axes.axvline(at, color=palette.LIMIT, linewidth=1.4)
         if at - free > length * 0.07:  # leave room for the previous label
             axes.annotate(
                 f"{at:.3f} s",
@@ -115,7 +117,7 @@ def _marks(
                 ha="center",
                 va="bottom",
                 fontsize=8,
-                color=_RED,
+                color=palette.LIMIT,
                 annotation_clip=False,
             )
             free = at
@@ -126,14 +128,14 @@ def _legend(spans: dict[str, list[Span]], detected: bool, onsets: bool) -> Itera
     from matplotlib.patches import Patch
 
     states = {span.state for one in spans.values() for span in one}
-    words = {_WORDS[state]: _COLOURS[state] for state in _COLOURS if state in states}
+    words = {_WORDS[state]: COLOURS[state] for state in COLOURS if state in states}
     for word, colour in words.items():
         yield Patch(facecolor=colour, label=word)
-    yield Line2D([], [], color=_INK, marker="|", linestyle="none", markersize=8, label="message")
+    yield Line2D([], [], color=palette.INK, marker="|", linestyle="none", markersize=8, label="message")
     if detected:
-        yield Line2D([], [], color=_RED, linewidth=1.4, label="detected")
+        yield Line2D([], [], color=palette.LIMIT, linewidth=1.4, label="detected")
     if onsets:
-        yield Line2D([], [], color=_BLUE, linewidth=1.2, linestyle=(0, (4, 3)), label="given onset")
+        yield Line2D([], [], color=palette.BLUE, linewidth=1.2, linestyle=(0, (4, 3)), label="given onset")
 
 
 def _lane(path: str, topic: str) -> str:

@@ -56,7 +56,7 @@ def test_findings_are_printed_in_columns_with_the_cure_below() -> None:
 def test_colours_do_not_change_the_text() -> None:
     plain = list(findings.lines(FOUND, columns=70, colours=False))
     coloured = list(findings.lines(FOUND, columns=70, colours=True))
-    assert coloured[0] == plain[0].replace("OK  ", "\x1b[32mOK  \x1b[0m", 1)
+    assert coloured[0] == plain[0].replace("OK  ", "\x1b[36mOK  \x1b[0m", 1)
     assert [line for line in coloured if "\x1b" not in line] == [plain[2], plain[4], *plain[5:]]
 
 

@@ -323,7 +323,7 @@ def test_robots_can_be_watched_without_the_right_to_read_gates(stand: FakeKubect
 
 @pytest.mark.parametrize("watching", [{"terminal": True, "environment": {"NO_COLOR": "1"}}], indirect=True)
 def test_colours_can_be_disabled(watching: Watching) -> None:
-    assert "\x1b[32m" not in watching.until("3 robots: 1 not protected")
+    assert "\x1b[36m" not in watching.until("3 robots: 1 not protected")
 
 
 @pytest.mark.parametrize("watching", [{"terminal": True, "environment": {"TERM": "dumb"}}], indirect=True)
@@ -336,7 +336,7 @@ def test_colours_can_be_had_without_a_terminal(
 ) -> None:
     monkeypatch.setenv(COLOR, "always")
     assert main([]) == 1
-    assert "\x1b[32m" in capsys.readouterr().out
+    assert "\x1b[36m" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("watching", [{"terminal": False}], indirect=True)

@@ -11,11 +11,13 @@ from pathlib import Path
 
 import pytest
 import yaml
-from PIL import Image
+from PIL import Image, ImageColor
 from rosbags.rosbag2 import Writer
 
 from tests.support.bag_recording import RecordedMessage, every, ns, policy, write
 from tests.support.golden import assert_golden
+from understudy.cli.common import palette
+from understudy.cli.simulate import plots
 from understudy.cli.simulate.simulate import main
 
 TWIST = "geometry_msgs/msg/Twist"
@@ -127,11 +129,13 @@ def test_the_grace_option_replaces_the_grace_time_of_the_policy(
 def test_the_plot_shows_detections_and_failed_times(folder: Path) -> None:
     assert main(["policy.yaml", "--bag", "bag", "--plot", "drawn.png"]) == 1
     assert main(["patient.yaml", "--bag", "bag", "--plot", "fine.png"]) == 0
-    red, rosy = (179, 38, 30), (242, 184, 176)
+    line, lane, healthy = (
+        ImageColor.getrgb(colour) for colour in (palette.LIMIT, plots.COLOURS["Failed"], plots.COLOURS["Healthy"])
+    )
     for file, failed in (("drawn.png", True), ("fine.png", False)):
         colours = {colour for _, colour in Image.open(file).convert("RGB").getcolors(1 << 24) or ()}
-        assert ({red, rosy} <= colours) == failed
-        assert (207, 232, 207) in colours, "healthy it was too"
+        assert ({line, lane} <= colours) == failed
+        assert healthy in colours, "healthy it was too"
 
 
 @pytest.mark.parametrize(

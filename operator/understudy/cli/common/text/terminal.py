@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, TextIO, cast
 
 from understudy.api.plain_text import plain
+from understudy.cli.common import palette
 
 COLOR = "UNDERSTUDY_COLOR"
 """Environment variable with auto, always or never: what the option ``--color`` sets."""
@@ -19,8 +20,11 @@ COLOR = "UNDERSTUDY_COLOR"
 BEGIN, END = "\x1b[?1049h\x1b[?25l", "\x1b[?25h\x1b[?1049l"
 """Switch to the alternate screen and hide the cursor; and the reverse."""
 
-_LINES, _COLOURS = r"\r?\n|\t", r"\x1b\[(?:0|2|32|33|1;31)m"
-"""The control characters that are printed: those of lines and, in a terminal, the colours of :mod:`tree_text`."""
+_LINES, _COLOURS = (
+    r"\r?\n|\t",
+    rf"\x1b\[(?:0|{'|'.join((palette.TERMINAL_FAINT, *dict.fromkeys(palette.TERMINAL.values())))})m",
+)
+"""The control characters that are printed: those of lines and, in a terminal, the colours of the palette."""
 _IN_FILES, _IN_TERMINALS, _IN_ROWS = (re.compile(f"({kept})") for kept in (_LINES, f"{_LINES}|{_COLOURS}", _COLOURS))
 
 

@@ -7,10 +7,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from understudy.api.plain_text import plain
+from understudy.cli.common import palette
 
 WORDS = {"Healthy": "healthy", "Starting": "starting", "Failed": "FAILED", "Idle": "idle", "Unasked": "not evaluated"}
-_COLOURS = {"Healthy": "32", "Starting": "33", "Degraded": "33", "Recovering": "33", "Failed": "1;31"}
-_FAINT = "2"
 
 
 @dataclass
@@ -75,7 +74,7 @@ def tree_lines(tree: Mapping[str, Any] | None, rates: Rates, *, colours: bool) -
 
 def coloured(text: str, state: str, *, colours: bool) -> str:
     """Return a text in the colour of a state."""
-    return f"\x1b[{_COLOURS.get(state, _FAINT)}m{text}\x1b[0m" if colours else text
+    return f"\x1b[{palette.TERMINAL.get(state, palette.TERMINAL_FAINT)}m{text}\x1b[0m" if colours else text
 
 
 def rough(seconds: float) -> str:

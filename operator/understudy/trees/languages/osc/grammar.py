@@ -34,6 +34,11 @@ _CHAIN = frozenset(_EXPRESSIONS.split())
 _REMEMBERED = 32
 """Texts whose parts are kept: more than the health trees of one policy."""
 
+_NOT_INSTALLED = (
+    "OpenSCENARIO 2 needs the Python package scenario-execution, which is not installed; install understudy with the extra osc: "
+    "pip install '.[osc]' in its repository"
+)
+
 _alone = threading.Lock()
 """Held while the parser runs: its threads would share the tables that it fills."""
 
@@ -87,9 +92,12 @@ def _parsed(text: str, dialect: Dialect, begins: TextOffset) -> Part:
     if len(text) > LONGEST_TEXT:
         raise Malformed(f"the text has {len(text)} characters; it may have {LONGEST_TEXT}")
     # Imported late because of its cost, see above.
-    from antlr4 import CommonTokenStream, InputStream
-    from scenario_execution.osc2_parsing.OpenSCENARIO2Lexer import OpenSCENARIO2Lexer
-    from scenario_execution.osc2_parsing.OpenSCENARIO2Parser import OpenSCENARIO2Parser
+    try:
+        from antlr4 import CommonTokenStream, InputStream
+        from scenario_execution.osc2_parsing.OpenSCENARIO2Lexer import OpenSCENARIO2Lexer
+        from scenario_execution.osc2_parsing.OpenSCENARIO2Parser import OpenSCENARIO2Parser
+    except ImportError as error:
+        raise Malformed(_NOT_INSTALLED) from error
 
     complaints = FirstErrorListener()
     source = InputStream(text if text.endswith("\n") else f"{text}\n")
