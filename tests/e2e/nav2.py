@@ -50,6 +50,10 @@ def has_image(kubectl: Kubectl) -> bool:
 class Nav2(Navigator):
     """A mobile robot with Nav2 and a client."""
 
+    LOCATED_IN = CONTAINER
+    POSES = 1
+    """Nav2's AMCL publishes one for each 0.25 m."""
+
     def _files(self, configuration: str, folder: str) -> Iterable[Path]:
         here = self._manifests.parent / "nav2"
         return here / f"strategies/{configuration}.yaml", here / "workload.yaml", self._manifests / "robot.yaml"

@@ -130,6 +130,10 @@ class Navigator(Robot):
 
     EXAMPLE = "navigation"
     """Its folder, and what its manifests and modules are named after."""
+    LOCATED_IN = names.AGENT_CONTAINER
+    """The container in which a pod's localization is looked at: that of the stack has no memory to spare."""
+    POSES = 6
+    """How many poses a localization publishes in 20 s at least."""
 
     def __init__(self, kubectl: Kubectl, name: str = "robot-1") -> None:
         super().__init__(kubectl, name)
@@ -229,10 +233,9 @@ class Navigator(Robot):
         """How far a pod's stack is off with where it believes the robot, in metres: the most in four seconds."""
         graph: dict[str, str] = self.kubectl.get("configmap", f"{self.workload}-robot-env")["data"]
         environment = [f"{name}={value}" for name, value in graph.items() if not name.startswith("FASTRTPS")]
-        # In the agent's container, since the stack's own has no memory to spare.
         command = ("env", *environment, "python3", "-c", LOCATE, "20")
-        said = self.kubectl("exec", pod, "-c", names.AGENT_CONTAINER, "--", *command, timeout=60).split()
-        assert int(said[0]) > 5, f"{pod} hardly says where the robot is: {said[0]} poses in 20 s"
+        said = self.kubectl("exec", pod, "-c", self.LOCATED_IN, "--", *command, timeout=60).split()
+        assert int(said[0]) >= self.POSES, f"{pod} hardly says where the robot is: {said[0]} poses in 20 s"
         return float(said[1])
 
     def first_localization_error(self, pod: str, since: float) -> float:

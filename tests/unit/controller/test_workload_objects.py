@@ -296,6 +296,14 @@ class TestClaimedPods:
         world.pods = [source_pod("w-a")]
         assert self.named(world) == [names.NOBODY]
 
+    def test_the_pods_of_the_pools_of_a_workload_are_no_peers_of_its_claimed_pods(self) -> None:
+        world = World(workload(), policy("spare"), spare())
+        spec = applied(world.plan(), "networkpolicies")["w-claimed"]["spec"]
+        peers = [peer["podSelector"] for peer in (*spec["ingress"][0]["from"], *spec["egress"][0]["to"])]
+        left_out = {"key": names.POOL, "operator": "NotIn", "values": ["spare"]}
+        assert all(left_out in peer["matchExpressions"] for peer in peers if "matchExpressions" in peer)
+        assert sum("matchExpressions" in peer for peer in peers) == 2
+
     def test_a_pod_that_an_earlier_version_has_claimed_has_the_label_of_the_workload(self) -> None:
         world = World(workload(), policy("spare"), spare())
         world.pods = [standby_pod("spare-1", of=world.workload, pool="spare")]

@@ -181,9 +181,11 @@ def _connect_claimed(made: Plan, observed: Observed, workload_plan: WorkloadPlan
     """Maintain the policy of the pods that the workload has claimed. The monitor names a pod there as soon as it has claimed it."""
     name = kube_objects.name(observed.workload)
     is_there = (NETWORK_POLICIES.plural, names.claimed(name)) in observed.owned
-    if not is_there and not _commanded(observed, workload_plan):
+    pools = _commanded(observed, workload_plan)
+    if not is_there and not pools:
         return
-    rules = registry.of(observed.workload).instance_rules(name, control_plane_policies.reach(observed, spec))
+    reach = control_plane_policies.reach(observed, spec)
+    rules = registry.of(observed.workload).instance_rules(name, reach, pools)
     made.writes.append(
         _ours(observed, NETWORK_POLICIES, pool_pod_policies.claimed_pods(name, rules, claims.claimed(observed.pods)))
     )

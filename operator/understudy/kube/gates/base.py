@@ -251,8 +251,8 @@ class GateKind(ABC):
         """Return the other objects that the gate of a workload needs, each with its resource."""
 
     @abstractmethod
-    def instance_rules(self, workload: str, reach: Reach) -> Object:
-        """Return the rules of a NetworkPolicy for instances that are not in control."""
+    def instance_rules(self, workload: str, reach: Reach, pools: Sequence[str] = ()) -> Object:
+        """Return the rules of a NetworkPolicy for instances that are not in control. Pods of ``pools`` are no peers of them."""
 
     # -- How it is proven -----------------------------------------------------------------------------------------------
 

@@ -92,7 +92,7 @@ class MuxGate(GateKind):
         """Return nothing."""
         return []
 
-    def instance_rules(self, workload: str, reach: Reach) -> Object:
+    def instance_rules(self, workload: str, reach: Reach, pools: Sequence[str] = ()) -> Object:
         """Return rules that allow everything, since no policy applies to instances."""
         return {"policyTypes": ["Ingress", "Egress"], "ingress": [{}], "egress": [{}]}
 

@@ -13,7 +13,7 @@ policies may allow an instance more. Only if they include UDP to the gated ports
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from ipaddress import ip_address
 from typing import Any
 
@@ -117,9 +117,9 @@ class NetworkPolicyGate(GateKind):
             found.append(network_policy(names.standby_reference(workload), dict(reach.reference), rules))
         return [(NETWORK_POLICIES, policy) for policy in found]
 
-    def instance_rules(self, workload: str, reach: Reach) -> Object:
+    def instance_rules(self, workload: str, reach: Reach, pools: Sequence[str] = ()) -> Object:
         """Return rules that leave out the gated ports."""
-        peers, first, last = _peers(workload, reach), *names.GATE_RANGE
+        peers, first, last = _peers(workload, reach, pools), *names.GATE_RANGE
         ungated = [ports("TCP"), ports("UDP", 1, first - 1), ports("UDP", last + 1)]
         application = [ports("TCP", 1, names.AGENT_PORT - 1), ports("TCP", names.AGENT_PORT + 1), ports("UDP")]
         return {
@@ -162,15 +162,18 @@ def _gated(workload: str, reach: Reach) -> Object:
     return {"policyTypes": ["Egress"], "egress": [{"to": to, "ports": [ports("UDP", first, last)]}]}
 
 
-def _peers(workload: str, reach: Reach) -> list[Object]:
+def _peers(workload: str, reach: Reach, pools: Sequence[str] = ()) -> list[Object]:
     """Return the peers of the policies: those of the workload, but no instance of it.
 
-    "No instance" means to lack the workload's label and not to match the selector of a referenced controller.
+    "No instance" means to lack the workload's label and not to match the selector of a referenced controller. A pod that was claimed
+    lacks that label, so for such pods the others of their pools are left out too.
     """
-    ours = {"key": names.WORKLOAD, "operator": "NotIn", "values": [workload]}
-    others: list[list[Object]] = [[ours]]
+    ours = [{"key": names.WORKLOAD, "operator": "NotIn", "values": [workload]}]
+    if pools:
+        ours.append({"key": names.POOL, "operator": "NotIn", "values": list(pools)})
+    others: list[list[Object]] = [ours]
     if reach.reference:
-        others = [[ours, selectors.opposite(requirement)] for requirement in selectors.requirements(reach.reference)]
+        others = [[*ours, selectors.opposite(requirement)] for requirement in selectors.requirements(reach.reference)]
     found: list[Object] = []
     for peer in reach.peers or ({},):
         pods = peer.get("podSelector") or {}
