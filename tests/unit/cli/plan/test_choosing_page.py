@@ -18,8 +18,9 @@ POOLS = [Candidate("Executing", "", 1), Candidate("Initialized", "", 1), Candida
 
 def rows(heading: str) -> list[list[str]]:
     """The rows of the first table behind a text, but for its head."""
-    behind = PAGE[PAGE.index(heading) :]
-    lines = re.findall(r"^\|.*\|$", behind[: behind.index("|\n\n") + 1], re.MULTILINE)
+    table = re.search(r"(^\|.*\|\n)+", PAGE[PAGE.index(heading) :], re.MULTILINE)
+    assert table
+    lines = table[0].splitlines()
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
 
 
