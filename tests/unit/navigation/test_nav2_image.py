@@ -91,5 +91,5 @@ def test_a_plugin_is_replaced_as_a_whole_and_other_parameters_one_by_one() -> No
 def test_the_parameters_are_those_of_nodes_that_the_workload_brings_up() -> None:
     (workload,) = yaml.safe_load_all((FOLDER.parent / "workload.yaml").read_text())
     up = set(re.findall(r"'node': '/(\w+)'", str(workload["spec"]["bringUp"])))
-    ours = set(yaml.safe_load((FOLDER / "params.yaml").read_text()))
+    ours = set(yaml.safe_load((FOLDER / "params.yml").read_text()))
     assert ours - {"local_costmap", "global_costmap"} <= up

@@ -21,12 +21,7 @@ from understudy.trees.languages.short.procedure_loader import load_check, load_p
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "navigation"
 FOLDERS = ("manifests", "nav2", "on-board")
-FILES = sorted(
-    file
-    for folder in FOLDERS
-    for file in (EXAMPLE / folder).rglob("*.yaml")
-    if file.parent.name != "image"  # parameters of Nav2's nodes
-)
+FILES = sorted(file for folder in FOLDERS for file in (EXAMPLE / folder).rglob("*.yaml"))
 STRATEGIES = ["executing", "localization-running", "pod-started", "restart", "stack-started"]
 
 

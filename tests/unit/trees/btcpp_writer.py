@@ -19,7 +19,7 @@ ALL = (
 )
 ANY = ("Fallback", "ReactiveFallback", 'Control ID="Fallback"', 'Parallel success_count="1" failure_count="-1"')
 IN_ORDER = ("Sequence", "ReactiveSequence", 'Control ID="ReactiveSequence"')
-LEAVES = ("motion", "progress", "node")
+LEAVES = ("motion", "progress", "node", "transform")
 """Those that are written in one way alone."""
 
 CONTROLS = {"parallel": ALL, "selector": ANY, "sequence": IN_ORDER}

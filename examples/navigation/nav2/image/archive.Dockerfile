@@ -21,7 +21,7 @@ RUN apt-get update -q && \
       libconsole-bridge1.0 libgraphicsmagick++-q16-12 liborocos-kdl1.5 libpython3.11 libuuid1 libyaml-cpp0.7 && \
     rm -rf /var/lib/apt/lists/*
 COPY --from=unpacked /opt/nav2 /opt/nav2
-COPY start-nav2 params.yaml /opt/navigation/
+COPY start-nav2 params.yml /opt/navigation/
 ENV NAV2_VENV=/opt/understudy
 USER 65532:65532
 ENTRYPOINT ["/opt/navigation/start-nav2"]
