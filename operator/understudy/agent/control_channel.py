@@ -106,6 +106,8 @@ class _Session:
     def __init__(self, channel: Channel, host: str, writer: asyncio.StreamWriter) -> None:
         self.peer = Peer(channel.workload, channel.claim, host, channel.probe_key)
         self.events: asyncio.Queue[Mapping[str, Any]] = asyncio.Queue(MOST_EVENTS)
+        self.wants_events = True
+        """False once a monitor has said that it does not. The events are about goals, for the task proxy."""
         self._channel, self._writer = channel, writer
         self._sending = asyncio.Lock()
         self._statuses = 0
@@ -182,8 +184,11 @@ class ControlChannel:
         return len(self._sessions)
 
     def publish(self, event: Mapping[str, Any]) -> None:
-        """Send an event to all sessions, in order. A session that does not receive its events is ended."""
-        for session in list(self._sessions):
+        """Send an event to all sessions that want it, in order. A session that does not receive its events is ended.
+
+        Feedback is most of them, and may come 100 times a second.
+        """
+        for session in [one for one in self._sessions if one.wants_events]:
             try:
                 session.events.put_nowait(event)
             except asyncio.QueueFull:
@@ -330,6 +335,8 @@ class ControlChannel:
                 return {"id": number, "error": held_back, "heldBack": True}
             if (reason := self._served.outdated(GateEpoch.from_wire(request.get("gate")))) is not None:
                 raise Refused(reason)
+            if op == "configure" and request.get("events") is False:  # monitors of earlier versions do not say
+                session.wants_events = False
             found = await operations[op](request, peer)
         except Refused as error:
             return {"id": number, "error": str(error)}

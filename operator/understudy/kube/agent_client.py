@@ -156,7 +156,7 @@ class AgentLink:
             body["managed"] = True
         if probe is not None:
             body["probe"] = {"host": probe[0], "port": probe[1]}
-        await self.request("configure", body)
+        await self.request("configure", body | {"events": self._on_event is not None})
 
     async def start(
         self, environment: Mapping[str, Mapping[str, str]], ros: Mapping[str, str], *, profiles: str = ""

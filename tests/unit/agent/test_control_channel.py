@@ -18,6 +18,8 @@ from understudy.kube.agent_client import AgentGone, AgentLink
 class Agent(IdleAgent):
     """An agent that counts what it carries out."""
 
+    channel: ControlChannel
+
     def __init__(self) -> None:
         super().__init__()
         self.carried_out = self.port = 0
@@ -26,7 +28,7 @@ class Agent(IdleAgent):
         async def probe(body: Mapping[str, Any], peer: Peer) -> None:
             self.carried_out += 1
 
-        return {"probe": probe}
+        return {"probe": probe, "configure": probe}
 
 
 class Monitor:
@@ -47,6 +49,16 @@ class Monitor:
             pass
         return int(message["number"])
 
+    async def events(self) -> list[Any]:
+        """The events that came before the next two statuses."""
+        found: list[Any] = []
+        statuses = 0
+        while statuses < 2:
+            message = await self._channel.read()
+            statuses += "status" in message
+            found += [message["event"]] if "event" in message else []
+        return found
+
     async def ask(self, **words: Any) -> dict[str, Any]:
         self._channel.write({"id": 1, "op": "probe", **words})
         while "id" not in (message := await self._channel.read()):
@@ -59,10 +71,21 @@ async def agent(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Agent]:
     monkeypatch.setattr(wire, "FRESH", 0.3)
     monkeypatch.setattr(wire, "STATUS_PERIOD", 0.05)
     served = Agent()
-    server = await ControlChannel(served).serve(0, host="127.0.0.1")
+    served.channel = ControlChannel(served)
+    server = await served.channel.serve(0, host="127.0.0.1")
     served.port = server.sockets[0].getsockname()[1]
     yield served
     server.close()
+
+
+async def test_events_about_goals_reach_the_task_proxy_and_not_the_monitor(agent: Agent) -> None:
+    """Nav2 gives feedback 100 times a second. Each message is encrypted, and woke the monitor."""
+    proxy, monitor = await Monitor.of(agent.port), await Monitor.of(agent.port)
+    await proxy.status()
+    assert (await monitor.ask(op="configure", events=False, seen=await monitor.status()))["ok"]
+    agent.channel.publish({"feedback": {"id": "goal"}})
+    assert await proxy.events() == [{"feedback": {"id": "goal"}}]
+    assert await monitor.events() == []
 
 
 async def test_a_request_is_not_carried_out_if_its_sender_saw_nothing_of_the_agent_for_long(agent: Agent) -> None:
