@@ -156,7 +156,7 @@ class HealthTree:
         nodes = list(self.root.iterate()) if self.root is not None else []
         self._leaves = [node for node in nodes if isinstance(node, Leaf)]
         # Nearly always, all leaves are healthy. If the tree is healthy then, no node needs a tick.
-        self._well = self.root is not None and _well(self.root)
+        self._well = {node for node in nodes if _well(node)}
 
     @property
     def judged(self) -> list[WatchedTopic]:
@@ -226,7 +226,7 @@ class HealthTree:
         else:
             until = self._healthy_until(observations, now, since)
         if until is not None:
-            moment = _first_loss(self.root, until)
+            moment = _first_loss(self.root, until, self._well)
             return moment if math.isfinite(moment) else None
         present = SEVERITY[self._tick(observations, now, since)]
         if present == SEVERITY["Failed"]:
@@ -251,7 +251,7 @@ class HealthTree:
     def _healthy_until(self, observations: Observations, now: float, since: float) -> dict[str, float] | None:
         """Return by path when each leaf stops being healthy; None unless all of them, and therefore the tree, are
         healthy."""
-        if not self._well:
+        if self.root not in self._well:
             return None
         self._set_evaluation(observations, now, since, real=True)
         found = {}
@@ -286,14 +286,14 @@ def _well(node: Behaviour) -> bool:
     return any(children) if isinstance(node, AnyOf) else all(children)
 
 
-def _first_loss(node: Behaviour, until: dict[str, float]) -> float:
+def _first_loss(node: Behaviour, until: dict[str, float], well: Collection[Behaviour]) -> float:
     """Return when a node that is healthy over healthy leaves stops being so: alternatives with their last child, other nodes with
-    their first, and an inverter not before one of its leaves."""
+    their first, and an inverter not before one of its leaves. ``well`` are all such nodes."""
     if isinstance(node, Leaf):
         return until[node.name]
     if isinstance(node, Inverter):
         return min(until[leaf.name] for leaf in node.iterate() if isinstance(leaf, Leaf))
-    losses = [_first_loss(child, until) for child in node.children if _well(child)]
+    losses = [_first_loss(child, until, well) for child in node.children if child in well]
     return max(losses) if isinstance(node, AnyOf) else min(losses)
 
 
