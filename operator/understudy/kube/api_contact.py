@@ -39,7 +39,8 @@ class ApiContact:
         self.returns = 0
         """How often that was."""
         self.last_outage: tuple[float, float] | None = None
-        """When the last outage began and ended."""
+        """When the last outage began and ended. One that begins less than JUST_BACK seconds after the one before it continues that one:
+        between its first answers, an API server that starts refuses requests."""
         self._back = asyncio.Event()
 
     @contextlib.contextmanager
@@ -65,7 +66,8 @@ class ApiContact:
             is_back = self._failing_since is not None or self._answered_at == -math.inf
             began, self._failing_since, self._answered_at = self._failing_since, None, loop.time()
             if began is not None:
-                self.last_outage = began, self._answered_at
+                before, ended = self.last_outage or (began, -math.inf)
+                self.last_outage = before if began - ended < JUST_BACK else began, self._answered_at
             if is_back:
                 self._back_at = self._answered_at
                 self.returns += 1

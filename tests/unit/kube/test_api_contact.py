@@ -39,6 +39,27 @@ async def test_an_outage_begins_with_the_first_request_that_fails_and_ends_with_
     )
 
 
+async def test_an_outage_that_follows_another_one_at_once_continues_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For how long the network may be late depends on how long the outage was (strategies/steps.py)."""
+    monkeypatch.setattr(api_contact, "JUST_BACK", 0.05)
+    contact, loop = ApiContact(), asyncio.get_running_loop()
+
+    async def outage(seconds: float) -> None:
+        await fails(contact)
+        await asyncio.sleep(seconds)
+        with contact.asking():
+            pass
+
+    began = loop.time()
+    await outage(0.02)
+    await outage(0.0)
+    assert contact.last_outage == (pytest.approx(began, abs=0.005), pytest.approx(loop.time(), abs=0.005))
+    await asyncio.sleep(0.06)
+    began = loop.time()
+    await outage(0.0)
+    assert contact.last_outage == (pytest.approx(began, abs=0.005), pytest.approx(loop.time(), abs=0.005))
+
+
 async def test_a_request_that_was_lost_says_nothing_any_more_after_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
     """A strategy waited for the end of an outage that was none, because nobody asked again (seed 742198)."""
     monkeypatch.setattr(api_contact, "LASTS", 0.1)
