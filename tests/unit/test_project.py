@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -30,6 +31,16 @@ def test_an_unknown_suite_is_refused() -> None:
     assert done.returncode == 1
     assert "unknown suite everything" in done.stderr
     assert "lint, unit, cluster, e2e or all" in done.stderr
+
+
+def test_files_may_be_named_in_any_order() -> None:
+    """See pytest_configure in tests/conftest.py: the last file did not find the fixtures of tests/unit/cli/conftest.py."""
+    files = ["cli/plan/test_size.py", "test_clock.py", "cli/test_commands.py"]
+    command = [sys.executable, "-m", "pytest", "--setup-plan", "-q", "-p", "no:cacheprovider"]
+    done = subprocess.run(
+        [*command, *(f"tests/unit/{file}" for file in files)], cwd=REPOSITORY, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout[-2000:]
 
 
 def test_the_ci_runs_all_suites() -> None:
