@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -24,6 +27,32 @@ def test_the_chart_has_the_version_of_the_package() -> None:
 @pytest.mark.parametrize("script", ["test", "lib.sh", "dashboards"])
 def test_shell_scripts_are_valid(script: str) -> None:
     subprocess.run(["bash", "-n", str(REPOSITORY / "scripts" / script)], check=True)
+
+
+@pytest.mark.parametrize(
+    ("script", "arguments"),
+    [
+        *(("test", arguments) for arguments in (["--help"], ["e2e", "--help"], ["unit", "-x", "-h"])),
+        *(
+            (script, ["--help"])
+            for script in ("bench", "cluster", "dashboards", "demo", "images", "prose", "record", "site")
+        ),
+    ],
+)
+def test_help_of_scripts_needs_no_setup(script: str, arguments: list[str], tmp_path: Path) -> None:
+    environment = os.environ | {"HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path)}
+    process = subprocess.Popen(
+        [str(REPOSITORY / "scripts" / script), *arguments],
+        env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True,
+    )  # fmt: skip
+    try:
+        output, _ = process.communicate(timeout=20)
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+    assert process.returncode == 0
+    assert f"scripts/{script}" in output
+    assert not re.search(r"^\[ *\d+ s\]", output, re.MULTILINE), "something was set up"
 
 
 def test_an_unknown_suite_is_refused() -> None:
