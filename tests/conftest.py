@@ -58,6 +58,8 @@ def pytest_configure(config: pytest.Config) -> None:
     # A shell ignores SIGINT for what it runs in the background, and a program can't undo that for itself: tests send it.
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    # pytest 9.1 loses the fixtures of a folder between whose files stands one of a parent folder (pytest issue 14640).
+    config.args.sort()
     # kubectl and helm of the project, where the machine has none.
     os.environ["PATH"] = f"{_CACHE / 'tools'}{os.pathsep}{os.environ['PATH']}"
     # None of several test processes is to hear what another one's robots say. A cluster is reached by the machine's network only.

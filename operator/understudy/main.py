@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import importlib
 import logging
 import os
 import sys
 import traceback
+from collections.abc import Iterator
 from types import ModuleType
-from typing import NamedTuple, NoReturn
+from typing import NamedTuple, NoReturn, TextIO
 
 from understudy import __version__
 
@@ -134,9 +136,44 @@ _WITH_VALUE = ("-n", "--namespace", "--context", "--kubeconfig", "--as", "--requ
 
 _COLORS = ("auto", "always", "never")
 
+_BROKEN_PIPE = 141
+"""The exit status of a program that SIGPIPE ended, as a shell reports it."""
+
 
 def main() -> int:
     """Run the verb that the first argument names. Imports only the module of that verb, which keeps pods small."""
+    status = _BROKEN_PIPE
+    with _quiet_broken_pipe():
+        status = _main()
+    return status
+
+
+@contextlib.contextmanager
+def _quiet_broken_pipe() -> Iterator[None]:
+    """End without an error if the program that reads the output, such as ``head``, has exited."""
+    try:
+        try:
+            yield
+        finally:
+            if sys.stdout is not None:
+                sys.stdout.flush()
+    except BrokenPipeError:
+        if not _is_unread(sys.stdout):
+            raise
+        # Otherwise, the interpreter would report what it cannot write when it ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _is_unread(out: TextIO) -> bool:
+    """Return whether a stream is a pipe that nobody reads any more. Other pipes and sockets break, too."""
+    import select  # not at the top, because pods do not need it
+
+    poll = select.poll()
+    poll.register(out.fileno(), 0)
+    return any(event & (select.POLLERR | select.POLLHUP) for _, event in poll.poll(0))
+
+
+def _main() -> int:
     arguments = sys.argv[1:]
     if "_ARGCOMPLETE" in os.environ:
         return _complete()
@@ -199,7 +236,9 @@ def _run(verb: Verb, arguments: list[str]) -> int:
                 file=sys.stderr,
             )
         return 1
-    except Exception:
+    except Exception as error:
+        if isinstance(error, BrokenPipeError) and not verb.in_pods:
+            raise
         traceback.print_exc()
         return 1
     return status

@@ -15,6 +15,7 @@ from tests.cluster.operators import APPS, CORE, Fleet, Operator
 from tests.cluster.policy_pods import World, table
 from tests.support.chart import SET_IMAGES
 from tests.support.cluster import Cluster, Object, account, until
+from tests.support.reruns import once_more
 from tests.support.sharing import shared
 from understudy.api.base import GROUP
 from understudy.api.schema.printed_kinds import KINDS
@@ -24,11 +25,11 @@ NAME = "understudy"
 NAMESPACE = "understudy-system"
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """A test that fails is run once more, and said to have been, but for the one that looks for what may never be."""
     for item in items:
         if "tests/cluster" in str(item.path) and item.path.name != "test_contention.py":
-            item.add_marker(pytest.mark.flaky(reruns=1))
+            item.add_marker(once_more(config))
 
 
 @pytest.fixture(scope="session", autouse=True)

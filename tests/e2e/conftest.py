@@ -18,6 +18,7 @@ from tests.e2e.faults import ApiServer, Network, Stage, cluster, has_network_mod
 from tests.e2e.kubectl import Failed, Kubectl, helm
 from tests.e2e.navigation import Navigator
 from tests.e2e.scenario import Late, Robot, eventually, manifest, patient
+from tests.support.reruns import once_more
 
 R = TypeVar("R", bound=Robot)
 
@@ -80,7 +81,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     mine = [item for item in items if "tests/e2e" in str(item.path)]
     for item in mine:
         item.add_marker(pytest.mark.timeout(900))
-        item.add_marker(pytest.mark.flaky(reruns=1, rerun_except=NOT_AGAIN))
+        item.add_marker(once_more(config, rerun_except=NOT_AGAIN))
         if ALONE & set(getattr(item, "fixturenames", ())):
             item.add_marker(pytest.mark.alone)
         if (robot := _shared(item)) in SELDOM:

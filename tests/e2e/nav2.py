@@ -50,23 +50,22 @@ def has_image(kubectl: Kubectl) -> bool:
 class Nav2(Navigator):
     """A mobile robot with Nav2 and a client."""
 
+    FOLDER = "nav2"
     LOCATED_IN = CONTAINER
     POSES = 1
     """Nav2's AMCL publishes one for each 0.25 m."""
 
-    def _files(self, configuration: str, folder: str) -> Iterable[Path]:
-        here = self._manifests.parent / "nav2"
+    def _files(self, configuration: str) -> Iterable[Path]:
+        here = self._manifests.parent / self.FOLDER
         return here / f"strategies/{configuration}.yaml", here / "workload.yaml", self._manifests / "robot.yaml"
 
-    def set_up(
-        self, configuration: str, *, folder: str = "nav2", edit: Callable[[list[Object]], None] | None = None
-    ) -> None:
+    def set_up(self, configuration: str, *, edit: Callable[[list[Object]], None] | None = None) -> None:
         """Apply the map, policy, pool, workload and robot; ``edit`` may change all but the map first."""
         with tempfile.TemporaryDirectory() as made:
             write(generate(SEED), Path(made))
             files = [f"--from-file={Path(made) / name}" for name in ("map.yaml", "map.pgm")]
             self.kubectl("create", "configmap", "navigation-map", *files)
-        super().set_up(configuration, folder=folder, edit=edit)
+        super().set_up(configuration, edit=edit)
 
     def send_signal(self, pod: str, number: str, *nodes: str) -> None:
         """Send a signal to nodes of a pod, or to all of Nav2."""

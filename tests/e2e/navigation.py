@@ -130,6 +130,8 @@ class Navigator(Robot):
 
     EXAMPLE = "navigation"
     """Its folder, and what its manifests and modules are named after."""
+    FOLDER = "manifests"
+    """The folder of the example that has the workload and the robot."""
     LOCATED_IN = names.AGENT_CONTAINER
     """The container in which a pod's localization is looked at: that of the stack has no memory to spare."""
     POSES = 6
@@ -143,13 +145,9 @@ class Navigator(Robot):
 
     # -- setting up -------------------------------------------------------------------------------------------------
 
-    def set_up(
-        self, configuration: str, *, folder: str = "manifests", edit: Callable[[list[Object]], None] | None = None
-    ) -> None:
-        """Apply policy, pool, and a folder's workload and robot; ``edit`` may change the objects first."""
-        found = [
-            item for file in self._files(configuration, folder) for item in yaml.safe_load_all(file.read_text()) if item
-        ]
+    def set_up(self, configuration: str, *, edit: Callable[[list[Object]], None] | None = None) -> None:
+        """Apply policy, pool, workload and robot; ``edit`` may change the objects first."""
+        found = [item for file in self._files(configuration) for item in yaml.safe_load_all(file.read_text()) if item]
         for item in found:
             if item["kind"] == "RobotWorkload":
                 item["spec"]["failurePolicyRef"] = {"name": f"{self.EXAMPLE}-{configuration}"}
@@ -157,9 +155,9 @@ class Navigator(Robot):
             edit(found)
         self.kubectl.apply(found)
 
-    def _files(self, configuration: str, folder: str) -> Iterable[Path]:
+    def _files(self, configuration: str) -> Iterable[Path]:
         """The manifests of a configuration."""
-        beside = self._manifests.parent / folder
+        beside = self._manifests.parent / self.FOLDER
         return self._manifests / f"strategies/{configuration}.yaml", beside / "workload.yaml", beside / "robot.yaml"
 
     def begin(self) -> None:

@@ -30,6 +30,12 @@ MUX = "mux"
 pytestmark = [pytest.mark.long, pytest.mark.local_only]
 
 
+class OnBoardNavigator(Navigator):
+    """A mobile robot with an instance of its navigation stack on board."""
+
+    FOLDER = "on-board"
+
+
 @pytest.fixture
 def cut_off(kubectl: Kubectl, stage: Stage) -> Robot:
     """A robot alone on a node, with an instance on board, driven by an instance of the cluster."""
@@ -107,8 +113,8 @@ def test_failures_of_all_kinds_while_the_robot_is_cut_off_leave_it_with_one_driv
 @pytest.mark.alone  # a stack of five processes needs most of the machine
 @pytest.mark.timeout(1800)
 def test_a_goal_is_resumed_after_a_cut_of_ten_minutes_with_three_failures(kubectl: Kubectl, stage: Stage) -> None:
-    navigator = Navigator(kubectl)
-    navigator.set_up("executing", folder="on-board", edit=lambda objects: place(objects, stage))
+    navigator = OnBoardNavigator(kubectl)
+    navigator.set_up("executing", edit=lambda objects: place(objects, stage))
     active = navigator.wait_protected()
     navigator.send_client(1, within=CUT + 2 * DONE)
     navigator.wait_driving(120)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import shlex
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -90,7 +91,7 @@ class OutsideRobot(Robot):
 
     def _start(self, name: str, files: Sequence[str], variables: Mapping[str, object], *module: str) -> None:
         """Start a Python module with the environment of files, as systemd does, and with variables."""
-        lines = [line for file in files for line in (self._folder / file).read_text().splitlines()]
+        lines = [line for file in files for line in shlex.split((self._folder / file).read_text())]
         own = {"PYTHONPATH": SOURCES, "HOME": self._folder, "ROS_LOG_DIR": self._folder / "ros", **variables}
         command = ["env", *lines, *(f"{key}={value}" for key, value in own.items()), sys.executable, "-m", *module]
         self.machine.start(command, self._folder / f"{name}.log")

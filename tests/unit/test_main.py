@@ -122,6 +122,50 @@ def test_the_version_is_printed(
     assert capsys.readouterr().out == f"understudy {__version__}\n"
 
 
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize(
+    "typed", ["--help", "version", "check --help", "check -R examples/quickstart", "completion bash"]
+)
+def test_output_that_nobody_reads_is_no_error(typed: str, unbuffered: str) -> None:
+    """As in ``understudy --help | head -1``, when ``head`` has exited before everything is written."""
+    done = _run_unread(["-m", "understudy", *typed.split()], unbuffered)
+    assert "Error" not in done.stderr
+    assert done.returncode in (0, 141)
+
+
+def test_another_broken_pipe_is_reported() -> None:
+    code = (
+        "import sys, types\n"
+        "from understudy import main\n"
+        "def run(arguments):\n"
+        "    raise BrokenPipeError('of a connection')\n"
+        "sys.modules['understudy.cli.inspect.status'] = types.SimpleNamespace(main=run)\n"
+        "sys.argv = ['understudy', 'status']\n"
+        "sys.exit(main.main())\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=20, check=False)
+    assert done.returncode == 1
+    assert "of a connection" in done.stderr
+
+
+def _run_unread(arguments: list[str], unbuffered: str) -> subprocess.CompletedProcess[str]:
+    """Run Python with a standard output whose reader has exited."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    try:
+        return subprocess.run(
+            [sys.executable, *arguments],
+            stdout=writing,
+            stderr=subprocess.PIPE,
+            env=os.environ | {"PYTHONUNBUFFERED": unbuffered},
+            text=True,
+            timeout=60,
+            check=False,
+        )
+    finally:
+        os.close(writing)
+
+
 @pytest.mark.parametrize(("end", "status"), [("return 75", 75), ("raise RuntimeError", 1)])
 def test_a_process_in_a_pod_ends_although_a_thread_never_does(end: str, status: int) -> None:
     """As threads of the middleware may: the process of a monitor that had to start again hung until its node was restarted."""

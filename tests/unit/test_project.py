@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import re
+import signal
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -25,11 +29,47 @@ def test_shell_scripts_are_valid(script: str) -> None:
     subprocess.run(["bash", "-n", str(REPOSITORY / "scripts" / script)], check=True)
 
 
+@pytest.mark.parametrize(
+    ("script", "arguments"),
+    [
+        *(("test", arguments) for arguments in (["--help"], ["e2e", "--help"], ["unit", "-x", "-h"])),
+        *(
+            (script, ["--help"])
+            for script in ("bench", "cluster", "dashboards", "demo", "images", "prose", "record", "site")
+        ),
+    ],
+)
+def test_help_of_scripts_needs_no_setup(script: str, arguments: list[str], tmp_path: Path) -> None:
+    environment = os.environ | {"HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path)}
+    process = subprocess.Popen(
+        [str(REPOSITORY / "scripts" / script), *arguments],
+        env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True,
+    )  # fmt: skip
+    try:
+        output, _ = process.communicate(timeout=20)
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+    assert process.returncode == 0
+    assert f"scripts/{script}" in output
+    assert not re.search(r"^\[ *\d+ s\]", output, re.MULTILINE), "something was set up"
+
+
 def test_an_unknown_suite_is_refused() -> None:
     done = subprocess.run([str(REPOSITORY / "scripts" / "test"), "everything"], capture_output=True, text=True)
     assert done.returncode == 1
     assert "unknown suite everything" in done.stderr
     assert "lint, unit, cluster, e2e or all" in done.stderr
+
+
+def test_files_may_be_named_in_any_order() -> None:
+    """See pytest_configure in tests/conftest.py: the last file did not find the fixtures of tests/unit/cli/conftest.py."""
+    files = ["cli/plan/test_size.py", "test_clock.py", "cli/test_commands.py"]
+    command = [sys.executable, "-m", "pytest", "--setup-plan", "-q", "-p", "no:cacheprovider"]
+    done = subprocess.run(
+        [*command, *(f"tests/unit/{file}" for file in files)], cwd=REPOSITORY, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout[-2000:]
 
 
 def test_the_ci_runs_all_suites() -> None:

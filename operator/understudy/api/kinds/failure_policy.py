@@ -155,7 +155,8 @@ class Strategy(Model):
     """Only for pools with readiness Executing. Switch: one write to the gate takes the robot from one instance and gives
     it to another, so for some milliseconds, both or none may reach the robot, because each node applies it for itself.
     BreakBeforeMake: the gate is closed, and opened for the other instance once no packet of the former one has arrived
-    for 60 ms. Absent: Switch. A gate of kind Mux switches at once in any case. See docs/how-to/network-policies.md."""
+    for 60 ms. Absent: Switch. Only recoveries use it: a planned switchover switches the gate by one write in any case. A
+    gate of kind Mux switches at once in any case. See docs/how-to/network-policies.md."""
     verify_within: Duration = "30s"
     """Maximum time from the start of the strategy until the robot receives outputs from the new instance. After this
     time the next strategy is tried. Time spent waiting for a pod (waitFor) does not count."""

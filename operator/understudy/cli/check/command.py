@@ -14,7 +14,7 @@ from understudy.cli.common.errors import reports_errors
 from understudy.cli.common.option_rules import add_examples, add_output
 from understudy.cli.common.text import terminal
 from understudy.cli.common.text.wording import counted
-from understudy.cli.manifests import config_map_trees, manifest_reader, object_check
+from understudy.cli.manifests import config_map_trees, manifest_reader, object_check, placeholders
 from understudy.cli.manifests.check_findings import Finding
 from understudy.cli.manifests.manifest_reader import Manifest
 
@@ -85,6 +85,8 @@ def _other(manifest: Manifest) -> Iterator[Finding]:
     if not manifest.kind and not _has_parameters(manifest.data):
         message = "missing, so this document is skipped; if it should be an object, add apiVersion and kind"
         yield manifest.finding("kind", message, warning=True)
+    for path, message in placeholders.problems(manifest.data):
+        yield manifest.finding(path, message)
 
 
 def _has_parameters(data: Any) -> bool:

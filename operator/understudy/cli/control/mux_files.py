@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from understudy.api import names
-from understudy.cli.control.profile_files import ENV_FILE, RobotFiles, env_text, own_ports, to_reach
+from understudy.cli.control.profile_files import ENV_FILE, RobotFiles, env_text, own_ports, quoted_env_text, to_reach
 
 MUX_FILE = "mux.env"
 TOKEN_FILE = "token"
@@ -25,7 +25,7 @@ class MuxFiles(RobotFiles):
     @property
     def files(self) -> dict[str, str]:
         """Both files by name."""
-        return {ENV_FILE: env_text(self.environment), MUX_FILE: env_text(self.settings)}
+        return {ENV_FILE: env_text(self.environment), MUX_FILE: quoted_env_text(self.settings)}
 
     def advice(self) -> Iterator[str]:
         """Describe what to do with the files, and what else is needed."""

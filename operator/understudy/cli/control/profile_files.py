@@ -3,6 +3,7 @@ and what else to do. Pure."""
 
 from __future__ import annotations
 
+import shlex
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -17,8 +18,16 @@ PROFILES_FILE = names.PROFILES_KEY
 
 
 def env_text(variables: Mapping[str, str]) -> str:
-    """Return an environment in a format for systemd's EnvironmentFile, docker's --env-file, and a shell with ``set -a``."""
+    """Return an environment in a format for systemd's EnvironmentFile, docker's --env-file, and a shell with ``set -a``.
+
+    The values must contain nothing that a shell interprets, because docker does not remove quotes.
+    """
     return "".join(f"{key}={value}\n" for key, value in variables.items())
+
+
+def quoted_env_text(variables: Mapping[str, str]) -> str:
+    """Return an environment with any values in a format for systemd's EnvironmentFile and a shell. Docker would keep the quotes."""
+    return "".join(f"{key}={shlex.quote(value)}\n" for key, value in variables.items())
 
 
 def own_ports(environment: Mapping[str, str]) -> str:

@@ -67,6 +67,8 @@ def _draft(options: argparse.Namespace, application: Application) -> Draft:
         raise CommandError(
             f"{application.kind} {application.name} uses the network of its node, which no NetworkPolicy applies to: use --gate Mux"
         )
+    if options.image and gate != "Mux":
+        raise CommandError(f"--image is that of a mux, which there is only with --gate Mux, and not with {gate}")
     given = dict(options.outputs)
     observed = _observe(options, [*given, *options.watch])
     outputs = _outputs(given, observed)
@@ -80,6 +82,7 @@ def _draft(options: argparse.Namespace, application: Application) -> Draft:
         leaves=[_leaf(topic, dict(outputs), observed) for topic in watched],
         gate=gate,
         readiness=options.readiness,
+        image=options.image or "",
         source=observed.source if observed is not None else "",
     )
 
@@ -220,6 +223,9 @@ def _parser() -> argparse.ArgumentParser:
         "--gate",
         choices=["NetworkPolicy", "Mux"],
         help="kind of the gate (default: NetworkPolicy, or Mux for an application in the network of its node)",
+    )
+    parser.add_argument(
+        "--image", help="image of the mux with --gate Mux: that of the monitor, the chart's value images.monitor"
     )
     parser.add_argument(
         "--write", metavar="FOLDER", help="write all files into a folder instead of printing the objects"

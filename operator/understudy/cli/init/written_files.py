@@ -11,6 +11,7 @@ import yaml
 from understudy.api import names
 from understudy.api.kinds.robot_workload import Ros
 from understudy.cli.init.application import Application, lacking
+from understudy.cli.manifests import placeholders
 from understudy.controller.pods.ros_environment import PROFILES_DIR
 from understudy.ros.rmw import MIDDLEWARE
 
@@ -21,6 +22,8 @@ OBJECTS, APPLICATION_PATCH, ROBOT_PATCH = "understudy.yaml", "patches/applicatio
 
 GAP = "500ms"
 """The gap of an output that was not measured."""
+
+_REPLACE_ROBOT = f" Replace {placeholders.ROBOT} and {placeholders.CONTAINER} by what runs them, or give --robot."
 
 _VARIABLES = tuple(MIDDLEWARE.environment(Ros(), "a managed server"))
 """The variables with which a process joins a robot's ROS graph."""
@@ -41,6 +44,8 @@ class Draft:
     """The lines of each leaf of the health tree, with comments."""
     gate: GateKind
     readiness: Readiness
+    image: str
+    """The image of the mux; empty if it is not known, or if there is no mux."""
     source: str
     """What the bounds were learned from; empty if nothing was measured."""
 
@@ -69,13 +74,13 @@ def next_steps(draft: Draft, folder: str, written: Collection[str]) -> list[str]
     """Return the commands that follow, in order, for the files with these paths."""
     there = f" -n {draft.namespace}" if draft.namespace else ""
     application, robot = draft.application, draft.robot
-    steps = [f"understudy check {folder}", f"kubectl apply{there} -f {folder}"]
+    steps = [f"understudy check -R {folder}", f"kubectl apply{there} -f {folder}"]
     own = f"{application.kind.lower()} {application.name}"
     if draft.gate == "Mux":
         steps.insert(1, f"kubectl scale{there} {own} --replicas=0")
     elif APPLICATION_PATCH in written:
         steps.append(f"kubectl patch{there} {own} --patch-file {folder}/{APPLICATION_PATCH}")
-    target = f"{robot.kind.lower()} {robot.name}" if robot else "deployment ROBOT"
+    target = f"{robot.kind.lower()} {robot.name}" if robot else f"deployment {placeholders.ROBOT}"
     steps.append(f"kubectl patch{there} {target} --patch-file {folder}/{ROBOT_PATCH}")
     steps.append(f"kubectl wait{there} --for=condition=Ready robotworkload/{draft.name} --timeout=5m")
     return steps
@@ -185,14 +190,14 @@ def _application_patch(draft: Draft) -> Iterator[str]:
 
 def _robot_containers(draft: Draft) -> list[str]:
     robot = draft.robot
-    return [str(one["name"]) for one in robot.containers] if robot else ["CONTAINER"]
+    return [str(one["name"]) for one in robot.containers] if robot else [placeholders.CONTAINER]
 
 
 def _profile_patch(draft: Draft) -> Iterator[str]:
     why = "The robot's processes that read an output do so at ports that the gate controls."
     if draft.robot is None:
-        why += " Replace ROBOT and CONTAINER by what runs them, or give --robot."
-    yield from _patch_head(draft.robot, why, "ROBOT")
+        why += _REPLACE_ROBOT
+    yield from _patch_head(draft.robot, why, placeholders.ROBOT)
     for container in _robot_containers(draft):
         yield f"        - name: {container}"
         yield "          envFrom:"
@@ -204,17 +209,19 @@ def _profile_patch(draft: Draft) -> Iterator[str]:
 
 
 def _mux_patch(draft: Draft) -> Iterator[str]:
-    why = "The robot's processes join the graph, and a mux beside them forwards one instance. Set its image."
+    why = "The robot's processes join the graph, and a mux beside them forwards one instance."
+    if not draft.image:
+        why += f" Replace {placeholders.IMAGE} by the image of the monitor, or give --image."
     if draft.robot is None:
-        why += " Replace ROBOT and CONTAINER by what runs them, or give --robot."
-    yield from _patch_head(draft.robot, why, "ROBOT", alone=True)
+        why += _REPLACE_ROBOT
+    yield from _patch_head(draft.robot, why, placeholders.ROBOT, alone=True)
     for container in _robot_containers(draft):
         yield f"        - name: {container}"
         yield "          envFrom:"
         yield f"            - configMapRef: {{name: {names.robot_env(draft.name)}}}"
     mux = names.mux(draft.name)
     yield "        - name: understudy-mux"
-    yield "          image: IMAGE                        # that of the monitor: the chart's value images.monitor"
+    yield f"          image: {draft.image or placeholders.IMAGE}     # that of the monitor: the chart's value images.monitor"
     yield "          args: [mux]"
     yield "          envFrom:"
     yield f"            - configMapRef: {{name: {names.robot_env(draft.name)}}}"

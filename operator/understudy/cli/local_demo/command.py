@@ -68,6 +68,7 @@ def _require_ros() -> None:
             f"ROS 2 is not installed ({', '.join(missing)} not found). Install Understudy with it, in a clone of its repository:\n"
             "python3 -m venv .venv && .venv/bin/pip install '.[ros]'\n"
             ".venv/bin/understudy try\n"
+            "On Debian and Ubuntu, the first command needs the package python3-venv\n"
             "The packages come from PyPI, for x86-64 Linux. On other machines, source a ROS 2 Jazzy installation"
         )
 

@@ -6,6 +6,7 @@ import io
 import json
 import re
 import shlex
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -212,8 +213,12 @@ def test_a_robot_with_a_mux_gets_the_environment_of_both_and_no_profile(
     assert MIDDLEWARE.settings_variable not in output
     assert robot_profile.main([ROBOT, "--write", str(tmp_path)]) == 0
     capsys.readouterr()
-    variables = dict(line.split("=", 1) for line in (tmp_path / "mux.env").read_text().splitlines())
-    assert json.loads(variables[names.OUTPUTS_VARIABLE]) == [{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}]
+    # A shell reads the same as systemd, which also knows single quotes.
+    shell = f'set -a; . {tmp_path}/mux.env; printf %s "${names.OUTPUTS_VARIABLE}"'
+    outputs = subprocess.run(["sh", "-ec", shell], capture_output=True, text=True, check=True).stdout
+    assert json.loads(outputs) == [{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}]
+    for line in (tmp_path / "mux.env").read_text().splitlines():
+        assert re.fullmatch(r"""[A-Z_]+=([^\s'"\\]+|'[^'\\]*')""", line), "quoted as a whole, or not at all"
     assert "ROS_DISCOVERY_SERVER=10.96.0.7:11811\n" in (tmp_path / "ros.env").read_text()
     assert robot_profile.main([ROBOT, "-o", "xml"]) == 2
     assert "needs no profiles.xml" in capsys.readouterr().err

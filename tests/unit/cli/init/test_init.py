@@ -72,7 +72,14 @@ def test_what_is_written_passes_the_check(
     folder = tmp_path / "robot-17"
     arguments = ["deployment/tug", "-f", str(manifests), *OUTPUT, *robot, "--gate", gate, "--readiness", readiness]
     assert main([*arguments, "-n", "fleet", "--write", str(folder)]) == 0
-    assert check(["--strict", "-R", str(folder)]) == 0, capsys.readouterr().out
+    capsys.readouterr()
+    passed = check(["--strict", "-R", str(folder)]) == 0
+    replace = {"metadata.name: ROBOT", "].name: CONTAINER"} if not robot else set()
+    replace |= {"].image: IMAGE"} if gate == "Mux" else set()
+    findings = capsys.readouterr().out
+    assert passed == (not replace), findings
+    assert all(f"{words} is a placeholder: replace it by" in findings for words in replace)
+    assert findings.count("\n") == len(replace), "nothing else"
     found = written(folder)
     assert found["FallbackPool"]["readiness"] == readiness
     assert ("template" in found["RobotWorkload"]) == (gate == "Mux"), "a mux needs pods that Understudy creates"
@@ -146,6 +153,7 @@ def test_the_application_can_be_in_the_cluster(stand: FakeKubectl, capsys: pytes
             "uses rmw_cyclonedds_cpp, and only Fast DDS",
         ),
         (deployment("tug", hostNetwork=True), ["--gate", "NetworkPolicy"], "use --gate Mux"),
+        (deployment("tug"), ["--image", "registry.example/monitor:1"], "--image is that of a mux"),
         (deployment("other"), [], "deployment/tug is not in the given files, which have deployment/other"),
         (deployment("tug", env={"ROS_DOMAIN_ID": "2"}), [], "RobotWorkload tug: spec.ros.domainId: "),
     ],
@@ -165,6 +173,25 @@ def test_an_application_in_the_network_of_its_node_gets_a_mux(
     workload, *_ = yaml.safe_load_all(capsys.readouterr().out)
     assert workload["spec"]["gate"] == {"kind": "Mux"}
     assert workload["spec"]["template"]["spec"]["hostNetwork"] is True
+
+
+def test_the_image_of_the_mux_can_be_given(manifests: Path, tmp_path: Path) -> None:
+    folder, image = tmp_path / "robot-17", "registry.example/monitor:1"
+    arguments = [
+        "deploy/tug",
+        "--robot",
+        "deploy/base",
+        "-f",
+        str(manifests),
+        *OUTPUT,
+        "--gate",
+        "Mux",
+        "--image",
+        image,
+    ]
+    assert main([*arguments, "--write", str(folder)]) == 0
+    assert f" image: {image} " in (folder / "patches" / "robot.yaml").read_text()
+    assert check(["--strict", "-R", str(folder)]) == 0
 
 
 def test_outputs_that_cannot_be_known_are_asked_for(

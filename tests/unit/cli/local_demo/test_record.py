@@ -108,6 +108,7 @@ def test_without_ros_the_command_names_what_to_install() -> None:
         "understudy try: ROS 2 is not installed (rclpy, geometry_msgs, nav_msgs, std_msgs not found)"
     )
     assert "pip install '.[ros]'" in found.stderr
+    assert "python3-venv" in found.stderr
 
 
 def test_without_a_keyboard_the_number_of_failures_must_be_given(
