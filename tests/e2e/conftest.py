@@ -17,6 +17,7 @@ import yaml
 from tests.e2e.faults import ApiServer, Network, Stage, cluster, has_network_modes, staying
 from tests.e2e.kubectl import Failed, Kubectl, helm
 from tests.e2e.navigation import Navigator
+from tests.e2e.observed_robot import ObservedRobot
 from tests.e2e.scenario import Late, Robot, eventually, manifest, patient
 from tests.support.reruns import once_more
 
@@ -40,7 +41,7 @@ ALONE = {"api_server", "cordoned", "earlier", "network", "stage", "without_opera
 """Fixtures that change what all robots of a cluster share: its nodes, its API server, the operator."""
 
 
-SELDOM, OFTEN = ("managed", "restarting", "uninitialized"), "executing"
+SELDOM, OFTEN = ("observed", "managed", "restarting", "uninitialized"), "executing"
 """Fixtures of robots that tests share. Few tests use most of them: these tests stay in one process. Each process has one of the last."""
 
 
@@ -241,6 +242,20 @@ def navigator(request: pytest.FixtureRequest) -> Navigator:
         return robot
 
     return _lent(request, "navigator", started)
+
+
+@pytest.fixture
+def observed(request: pytest.FixtureRequest) -> ObservedRobot:
+    """A robot with the trees of the language that is the fixture's parameter, with an executing standby, which tests share."""
+    language: str = request.param
+
+    def started(kubectl: Kubectl) -> ObservedRobot:
+        robot = ObservedRobot(kubectl)
+        kubectl.apply(robot.observed(language))
+        robot.wait_protected()
+        return robot
+
+    return _lent(request, f"observed {language}", started)
 
 
 def _lent(request: pytest.FixtureRequest, name: str, start: Callable[[Kubectl], R]) -> R:
