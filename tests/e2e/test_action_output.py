@@ -23,7 +23,7 @@ ENOUGH = 4
 """Goals of one instance, of which it sends two in a second."""
 
 BUSY = 1.0
-"""Seconds by which the end of a goal's lifespan may be late on a busy machine."""
+"""Seconds that a goal may outlive its lifespan on a busy machine."""
 
 
 class Gripping(Robot):

@@ -1,4 +1,4 @@
-"""A policy with requirements: the operator chooses its strategies, keeps standbys for them, and chooses again if other levels are required."""
+"""A policy with requirements: the operator chooses its strategies and keeps standbys for them, and again if the requirements change."""
 
 from __future__ import annotations
 

@@ -157,6 +157,13 @@ def _transform(now: Time, parent: str, child: str) -> TransformStamped:
     return found
 
 
+def _fault() -> str:
+    try:
+        return FAULT.read_text().strip()
+    except FileNotFoundError:
+        return ""
+
+
 def main() -> None:
     rclpy.init()
     worker = Worker()
@@ -168,7 +175,7 @@ def main() -> None:
     with contextlib.suppress(ExternalShutdownException):
         while rclpy.ok():
             executor.spin_once(timeout_sec=PERIOD)
-            application.follow(FAULT.read_text().strip() if FAULT.exists() else "")
+            application.follow(_fault())
 
 
 if __name__ == "__main__":
