@@ -222,7 +222,9 @@ class Robot:
         time.sleep(first)
         awaited = f"--for=jsonpath={{.status.recoveryCount}}={self._recovered_before + number}"
         with suppress(Failed):  # the state after it counts
-            self.kubectl("wait", f"robotworkload/{self.name}", awaited, f"--timeout={within:g}s", timeout=2 * within)
+            self.kubectl(
+                "wait", f"robotworkload/{self.workload}", awaited, f"--timeout={within:g}s", timeout=2 * within
+            )
         return self.wait_recovered(number, within)
 
     def wait_recovered(self, number: int, within: float = 90.0) -> Recovered:
