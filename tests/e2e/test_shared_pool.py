@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from tests.e2e.kubectl import Kubectl, Object
-from tests.e2e.scenario import Robot, eventually, manifest, never
+from tests.e2e.scenario import APPLICATION, CONTAINER, Robot, eventually, manifest, never
 from tests.e2e.test_strategies import assert_handed_over
 
 POOL = "quickstart-uninitialized"
@@ -150,3 +150,28 @@ def test_a_workload_that_waited_for_waitfor_is_restarted(kubectl: Kubectl, gate_
     assert recovery.strategy == "Restart"
     assert "no pod became free within 3 s" in recovery.attempts[0]["message"]
     assert_handed_over(robot, recovery)
+
+
+def test_a_claimed_pod_drives_in_the_interpreter_that_waited_with_its_modules(kubectl: Kubectl) -> None:
+    found = manifest("strategies/uninitialized.yaml")
+    for item in found:
+        if item["kind"] == "FallbackPool":
+            item["spec"]["preload"] = ["rclpy.node", "geometry_msgs.msg"]
+    kubectl.apply(found)
+    robot = Robot(kubectl)
+    kubectl.apply(robot.objects(policy=POOL))
+    old = robot.wait_protected()
+    [held] = kubectl.list("pods", "understudy.dev/held=true")
+    waiting = held["metadata"]["name"]
+    assert "preloaded geometry_msgs.msg in" in kubectl("logs", waiting, "-c", CONTAINER), "before it is claimed"
+    robot.fail(old, "killed")
+    recovery = robot.wait_recovered(1)
+    assert (recovery.strategy, recovery.new) == ("Fallback/Uninitialized", waiting)
+    assert_handed_over(robot, recovery)
+    command, environment = (
+        kubectl("exec", waiting, "-c", CONTAINER, "--", "cat", f"/proc/1/{file}").replace("\0", " ")
+        for file in ("cmdline", "environ")
+    )
+    assert f"-m {APPLICATION}" in command
+    # The kernel shows the variables that the process was executed with.
+    assert "ROS_DISCOVERY_SERVER" not in environment, "it was not executed again for its robot"

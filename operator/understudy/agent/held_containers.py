@@ -61,7 +61,10 @@ class HeldContainers:
         self.containers = tuple(containers)
 
     def prepare(self) -> None:
-        """Create the FIFOs, for images that cannot create them."""
+        """Create the FIFOs, for images that cannot create them, and before them what such a container runs to preload modules."""
+        if self.containers:
+            source = Path(__file__).with_name(hold_script.PRELOADED_INTERPRETER)
+            replace_file(self._directory / source.name, source.read_text(), mode=0o644)
         for container in self.containers:
             make_fifo(self._directory / hold_script.wake_name(container))
 

@@ -255,6 +255,34 @@ def test_held_containers_wait_without_probes() -> None:
     assert "ROS_DOMAIN_ID" not in json.dumps(pod["spec"])
 
 
+def test_a_held_container_of_python_preloads_the_pools_modules_and_another_container_none() -> None:
+    pool = spare()
+    template = pool["spec"]["template"]["spec"]
+    [other] = template["containers"]
+    nodes = {"name": "nodes", "image": "nodes:1", "command": ["python3", "-m", "nodes"], "args": ["-v"]}
+    template["containers"] = [other, nodes]
+    pool["spec"]["preload"] = ["rclpy.node", "numpy"]
+    (pod, _) = created(plan(observe(pool)), "pods")
+    plain, preloading, _ = pod["spec"]["containers"]
+    directory, container, words, separator, *command = preloading["command"][4:]
+    assert (directory, container, separator) == (names.AGENT_DIR, "nodes", "--")
+    interpreter, file, *arguments = words.split()
+    assert (interpreter, file) == ("python3", f"{names.AGENT_DIR}/preloaded_interpreter.py")
+    assert arguments[:2] == [names.AGENT_DIR, "nodes"]
+    assert command[int(arguments[2]) :] == ["python3", "-m", "nodes", "-v"]
+    assert arguments[3] == "rclpy.node,numpy"
+    assert plain["command"][6] == ""
+
+
+def test_a_pool_that_preloads_for_no_python_names_the_way_out() -> None:
+    pool = spare()
+    pool["spec"]["preload"] = ["numpy"]
+    observed = observe(pool)
+    assert not created(plan(observed), "pods")
+    [accepted] = [c for c in status(observed)["conditions"] if c["reason"] == "TemplateInvalid"]
+    assert "spec.preload: no container of spec.template has a command that begins with python3" in accepted["message"]
+
+
 def test_only_monitors_reach_the_agent_of_an_unclaimed_pod() -> None:
     policy = applied(plan(observe(spare())), "networkpolicies")["spare-held"]
     assert policy["spec"]["podSelector"]["matchLabels"] == {names.POOL: "spare", names.HELD: "true"}

@@ -83,6 +83,17 @@ WarmPath = Annotated[
 """A file or folder in the containers."""
 
 
+PythonModule = Annotated[
+    str,
+    matching(
+        r"^[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*)*$",
+        "write the name of a Python module as in an import, such as rclpy or geometry_msgs.msg",
+        max_length=253,
+    ),
+]
+"""A module that the application imports."""
+
+
 class TemplateSource(Model):
     """Source of the pool's pod template."""
 
@@ -186,6 +197,11 @@ class UpdateStrategy(Model):
         ".updateStrategy",
     ),
     (
+        f"{_is(_SHARED)} || !has(self.preload)",
+        f"preload is allowed only for pools with readiness {SHARED_NAMES}: the processes of other standbys run and have their modules",
+        ".preload",
+    ),
+    (
         f"!({_is(_PREPARED)}) || has(self.initialization)",
         f"a pool with readiness {_either(_PREPARED)} needs an initialization, the procedure that prepares its standbys",
         ".initialization",
@@ -243,6 +259,10 @@ class FallbackPoolSpec(Model):
     warm_paths: list[WarmPath] = Field(default_factory=list, max_length=16)
     """Files and folders that each container reads once while it is held, so that they are in the node's page cache when
     the application starts."""
+    preload: list[PythonModule] | None = Field(default=None, min_length=1, max_length=64)
+    """Only for readiness Uninitialized: Python modules that each container whose command begins with python3 imports
+    while it is held. The application then runs in that interpreter, so its start takes less time and the waiting pod
+    more memory. See docs/pools.md."""
 
     @property
     def level(self) -> ReadinessLevel:

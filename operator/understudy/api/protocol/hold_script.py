@@ -15,8 +15,9 @@ from collections.abc import Mapping, Sequence
 from understudy.api import names
 
 HOLD_SCRIPT = """\
-understudy_env=$1/env-$2 understudy_wake=$1/wake-$2
-shift 2
+understudy_env=$1/env-$2 understudy_wake=$1/wake-$2 understudy_preloading=$3
+[ -r "$1/preloaded_interpreter.py" ] || understudy_preloading=
+shift 3
 trap 'exit 143' TERM INT
 while [ "$1" != -- ]; do
   if [ ! -r "$understudy_env" ]; then
@@ -28,6 +29,7 @@ done
 shift
 if [ ! -r "$understudy_env" ]; then
   until [ -p "$understudy_wake" ]; do sleep 0.1; done
+  [ -z "$understudy_preloading" ] || exec $understudy_preloading "$@"
   exec 3<>"$understudy_wake"
   until [ -r "$understudy_env" ]; do read -r understudy_line <&3 || sleep 1; done
   exec 3<&-
@@ -35,14 +37,23 @@ fi
 . "$understudy_env"
 exec "$@"
 """
-"""Arguments: directory, container, warm paths, ``--``, the command. No ``$(`` and ``$$``: the kubelet expands those.
+"""Arguments: directory, container, what preloads modules or nothing, warm paths, ``--``, the command.
+
+No ``$(`` and ``$$``: the kubelet expands those.
 
 - PID 1 gets no signal that it doesn't trap, and a trap waits for a foreground child, so warming runs beside ``wait``.
 - Warming is nice: other pods of the node drive robots. ``-xdev`` keeps it out of /proc. A missing path is no error.
 - Opening the FIFO for reading and writing doesn't block and never sees the end of the file when the agent goes.
 - The agent makes the FIFO. A container that starts before the agent looks for it ten times a second.
+- An agent of the version before writes nothing that preloads modules, and the container waits without.
+- What preloads modules waits in place of the script, and opens the FIFO once it has them, so nobody takes the container for ready earlier.
 - Once the environment is there, a restart of the container goes straight on to the command.
 """
+
+PRELOADED_INTERPRETER = "preloaded_interpreter.py"
+"""File that the agent writes, for the interpreter of the application."""
+
+_INTERPRETER = re.compile(r"([-A-Za-z0-9_./]*/)?python(3(\.\d+)?)?")
 
 _IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
@@ -53,9 +64,12 @@ def held_command(
     args: Sequence[str],
     warm_paths: Sequence[str],
     *,
+    preloading: str = "",
     directory: str = names.AGENT_DIR,
 ) -> list[str]:
     """Return the ``command`` (with no ``args``) with which a container waits for its robot and then runs the given command.
+
+    ``preloading``: the result of :func:`preloading` for this command, if its interpreter is to import modules meanwhile.
 
     Raises ValueError if ``command`` is empty, because the image's entry point is unknown.
     """
@@ -63,7 +77,25 @@ def held_command(
         raise ValueError(
             f"container {container}: command is missing; a held container needs one, because the image's entry point is unknown"
         )
-    return ["/bin/sh", "-c", HOLD_SCRIPT, "understudy-hold", directory, container, *warm_paths, "--", *command, *args]
+    script = ["/bin/sh", "-c", HOLD_SCRIPT, "understudy-hold"]
+    return [*script, directory, container, preloading, *warm_paths, "--", *command, *args]
+
+
+def preloads(command: Sequence[str]) -> bool:
+    """Return whether modules can be preloaded for the command of an application: it begins with a Python interpreter."""
+    return bool(command) and _INTERPRETER.fullmatch(command[0]) is not None
+
+
+def preloading(
+    container: str, command: Sequence[str], modules: Sequence[str], *, before: int, directory: str = names.AGENT_DIR
+) -> str:
+    """Return what a held container runs in place of the rest of the script: the words before the whole command.
+
+    Args:
+        command: that of the application, for which :func:`preloads` is true.
+        before: how many words come before it in the whole command.
+    """
+    return f"{command[0]} {directory}/{PRELOADED_INTERPRETER} {directory} {container} {before} {','.join(modules)}"
 
 
 def env_name(container: str) -> str:

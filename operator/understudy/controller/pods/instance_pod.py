@@ -58,6 +58,7 @@ class Recipe:
     pool: str = ""
     held: bool = False
     warm_paths: Sequence[str] = ()
+    preload: Sequence[str] = ()
     stripped: frozenset[str] = frozenset()
     """Label keys that the pods must not have, because a referred controller would adopt the pods."""
     profiles: str = ""
@@ -123,6 +124,12 @@ def problem(template: Mapping[str, Any], *, held: bool, path: str, gate: GateKin
         if volume.get("name") in _VOLUMES:
             return f"{path}.spec.volumes has {volume['name']}, which Understudy's sidecar uses. Choose another name"
     return _mounts_problem(spec, f"{path}.spec")
+
+
+def preloads(template: Mapping[str, Any]) -> bool:
+    """Return whether the command of a container of a template is one for which modules can be preloaded."""
+    containers = (template.get("spec") or {}).get("containers") or []
+    return any(hold_script.preloads(container.get("command") or []) for container in containers)
 
 
 def _mounts_problem(spec: Mapping[str, Any], at: str) -> str | None:
@@ -396,10 +403,12 @@ def _held(container: Object, recipe: Recipe, scope: freeze_script.Scope) -> Obje
         made["lifecycle"] = hooks
     else:
         made.pop("lifecycle", None)
-    command = freeze_script.fenced_command(
-        container["name"], container["command"], container.get("args") or [], scope=scope
-    )
-    made["command"] = hold_script.held_command(container["name"], command, [], recipe.warm_paths)
+    name, own = container["name"], [*container["command"], *(container.get("args") or [])]
+    command = freeze_script.fenced_command(name, own, [], scope=scope)
+    preloading = ""
+    if recipe.preload and hold_script.preloads(own):
+        preloading = hold_script.preloading(name, own, recipe.preload, before=len(command) - len(own))
+    made["command"] = hold_script.held_command(name, command, [], recipe.warm_paths, preloading=preloading)
     made.pop("args", None)
     made["volumeMounts"] = [
         *(container.get("volumeMounts") or []),

@@ -126,6 +126,8 @@ def evaluate(observed: Observed, images: Images) -> PoolPlan:
         image = replace(images, monitor=own or images.monitor)
     if found := instance_pod.problem(template or {}, held=True, path=path):
         return PoolPlan(spec, Problem("TemplateInvalid", found), sized=sized)
+    if spec.preload and not instance_pod.preloads(template or {}):
+        return PoolPlan(spec, Problem("TemplateInvalid", _nothing_preloads(path)), sized=sized)
     requirements = selectors.requirements(observed.source_selector or {})
     recipe = instance_pod.Recipe(
         workload="",
@@ -136,9 +138,17 @@ def evaluate(observed: Observed, images: Images) -> PoolPlan:
         pool=kube_objects.name(pool),
         held=True,
         warm_paths=spec.warm_paths,
+        preload=spec.preload or (),
         stripped=frozenset(requirement["key"] for requirement in requirements),
     )
     return PoolPlan(spec, built=instance_pod.build(template or {}, recipe), sized=sized)
+
+
+def _nothing_preloads(path: str) -> str:
+    return (
+        f"spec.preload: no container of {path} has a command that begins with python3, in whose interpreter the modules could wait. "
+        "Let the command begin with it (such as [python3, -m, my_package]), or remove spec.preload"
+    )
 
 
 def _no_source(source: str, observed: Observed) -> Problem:
