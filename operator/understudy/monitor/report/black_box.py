@@ -117,7 +117,7 @@ class BlackBox:
             except Exception:
                 _logger.exception("the black box")
                 await asyncio.sleep(AGAIN)
-            await asyncio.sleep(CHECK_PERIOD)
+            await asyncio.sleep(CHECK_PERIOD if self._ring is not None else AGAIN)
 
     def _follow(self) -> None:
         """Follow the policy's ``blackBox``."""

@@ -100,6 +100,8 @@ class ClusterView:
         self._policy: FailurePolicySpec | None = None
         self._policy_version: tuple[str, int] = ("", 0)
         self._policy_trees, self._workload_trees = long_trees.ReadAhead(wakeups), long_trees.ReadAhead(wakeups)
+        self._gate_record: tuple[Object | None, GateRecord | None] = (None, None)
+        """The gate object that was read last, and its record."""
         self._followed: tuple[FailurePolicySpec | None, WorkloadSettings | None, FailurePolicySpec | None] = (None,) * 3
         self._spec: tuple[tuple[int, int], RobotWorkloadSpec | None] = ((-1, 0), None)
         self._settings: tuple[int, WorkloadSettings | None] = (-1, None)
@@ -197,7 +199,12 @@ class ClusterView:
     @property
     def gate_record(self) -> GateRecord | None:
         """The record of the workload's gate, as last seen or committed; None if there is no gate object."""
-        return GateRecord.of(gate) if (gate := self.gate_object) is not None else None
+        gate, read = self._gate_record
+        if gate is not self.gate_object:  # every evaluation asks several times
+            gate = self.gate_object
+            read = GateRecord.of(gate) if gate is not None else None
+            self._gate_record = (gate, read)
+        return read
 
     def fenced(self, record: GateRecord, now: float) -> bool:
         """Return whether a user has fenced the robot by this record of the gate, and may not have ended the pause yet. ``now`` is in Unix
