@@ -199,12 +199,14 @@ class ClusterView:
     @property
     def gate_record(self) -> GateRecord | None:
         """The record of the workload's gate, as last seen or committed; None if there is no gate object."""
-        gate, read = self._gate_record
-        if gate is not self.gate_object:  # every evaluation asks several times
-            gate = self.gate_object
-            read = GateRecord.of(gate) if gate is not None else None
-            self._gate_record = (gate, read)
-        return read
+        if (gate := self.gate_object) is None:
+            return None
+        known, record = self._gate_record
+        if known is gate and record is not None and record.version == gate["metadata"]["resourceVersion"]:
+            return record  # every evaluation asks several times
+        record = GateRecord.of(gate)
+        self._gate_record = (gate, record)
+        return record
 
     def fenced(self, record: GateRecord, now: float) -> bool:
         """Return whether a user has fenced the robot by this record of the gate, and may not have ended the pause yet. ``now`` is in Unix
