@@ -94,7 +94,7 @@ def expressions(name: str, chosen: Mapping[str, str], seconds: int) -> dict[str,
     return found
 
 
-TABLE = "Recoveries in the time shown, and the means of their parts"
+TABLE = "Recoveries in this time range, with the mean time of each part"
 
 
 def by_strategy(query: Query, name: str, chosen: Mapping[str, str], seconds: int) -> dict[str, dict[str, float]]:
@@ -131,7 +131,7 @@ def test_the_dashboards_count_every_recovery_whatever_became_of_the_monitors(pro
         everywhere = by_strategy(query, "fleet", {"$namespace": ".*"}, length)
         assert sum((everywhere["recovered"] | everywhere["failed"]).values()) == pytest.approx(14, abs=0.05)
         assert not any(by_strategy(query, "fleet", {"$namespace": "nowhere"}, length).values())
-        (lacking,) = expressions("fleet", {"$namespace": "fleet"}, length)["Pods that pools lack, by namespace"]
+        (lacking,) = expressions("fleet", {"$namespace": "fleet"}, length)["Missing pods of pools, by namespace"]
         assert [query(lacking, at)[0]["value"][1] for at in (operator.handed_over + EVERY, end)] == ["4", "0"]
 
 
