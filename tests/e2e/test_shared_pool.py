@@ -168,10 +168,8 @@ def test_a_claimed_pod_drives_in_the_interpreter_that_waited_with_its_modules(ku
     recovery = robot.wait_recovered(1)
     assert (recovery.strategy, recovery.new) == ("Fallback/Uninitialized", waiting)
     assert_handed_over(robot, recovery)
-    command, environment = (
-        kubectl("exec", waiting, "-c", CONTAINER, "--", "cat", f"/proc/1/{file}").replace("\0", " ")
-        for file in ("cmdline", "environ")
-    )
-    assert f"-m {APPLICATION}" in command
+    script = f"for p in /proc/[0-9]*; do grep -qzx {APPLICATION} $p/cmdline && tr '\\0' ' ' <$p/environ; done; true"
+    environment = kubectl.shell(waiting, CONTAINER, script)
+    assert "PATH=" in environment
     # The kernel shows the variables that the process was executed with.
     assert "ROS_DISCOVERY_SERVER" not in environment, "it was not executed again for its robot"

@@ -60,10 +60,15 @@ class Held:
         return path
 
     def hold(
-        self, *words: str, modules: Sequence[str] = ("heavy",), environment: Mapping[str, str] | None = None
+        self,
+        *words: str,
+        modules: Sequence[str] = ("heavy",),
+        environment: Mapping[str, str] | None = None,
+        agent_after: float = 0.0,
     ) -> subprocess.Popen[str]:
-        """Hold ``python3 WORDS...``, and wait until its modules are there."""
-        self.holds.prepare()
+        """Hold ``python3 WORDS...``, and wait until its modules are there. The agent prepares the volume some seconds later."""
+        if not agent_after:
+            self.holds.prepare()
         own = [sys.executable, *words]
         command = freeze_script.fenced_command("app", own, [], scope="all", directory=str(self.volume))
         before = len(command) - len(own)
@@ -74,6 +79,9 @@ class Held:
             env={**os.environ, **(environment or {})},
         )  # fmt: skip
         self.processes.append(process)
+        if agent_after:
+            time.sleep(agent_after)
+            self.holds.prepare()
         end = time.monotonic() + 20
         while self.holds.missing() and process.poll() is None:
             assert time.monotonic() < end, "it does not wait"
@@ -118,6 +126,13 @@ def test_the_application_runs_in_the_interpreter_that_waited(held: Held) -> None
     assert found["interrupts"]
     assert process.returncode == 0
     assert "preloaded heavy in" in errors
+
+
+def test_a_container_that_starts_before_its_agent_preloads_too(held: Held) -> None:
+    held.write("robot.py", FUNCTIONS + REPORT)
+    process = held.hold("-m", "robot", agent_after=0.5)
+    out, _ = held.start(process)
+    assert [found["preloaded"] for found in reports(out)] == [True]
 
 
 def test_a_script_runs_too_and_its_exit_status_is_that_of_the_container(held: Held) -> None:

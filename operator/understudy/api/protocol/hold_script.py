@@ -15,8 +15,7 @@ from collections.abc import Mapping, Sequence
 from understudy.api import names
 
 HOLD_SCRIPT = """\
-understudy_env=$1/env-$2 understudy_wake=$1/wake-$2 understudy_preloading=$3
-[ -r "$1/preloaded_interpreter.py" ] || understudy_preloading=
+understudy_env=$1/env-$2 understudy_wake=$1/wake-$2 understudy_file=$1/preloaded_interpreter.py understudy_preloading=$3
 shift 3
 trap 'exit 143' TERM INT
 while [ "$1" != -- ]; do
@@ -29,7 +28,7 @@ done
 shift
 if [ ! -r "$understudy_env" ]; then
   until [ -p "$understudy_wake" ]; do sleep 0.1; done
-  [ -z "$understudy_preloading" ] || exec $understudy_preloading "$@"
+  if [ "$understudy_preloading" ] && [ -r "$understudy_file" ]; then exec $understudy_preloading "$@"; fi
   exec 3<>"$understudy_wake"
   until [ -r "$understudy_env" ]; do read -r understudy_line <&3 || sleep 1; done
   exec 3<&-
@@ -45,7 +44,7 @@ No ``$(`` and ``$$``: the kubelet expands those.
 - Warming is nice: other pods of the node drive robots. ``-xdev`` keeps it out of /proc. A missing path is no error.
 - Opening the FIFO for reading and writing doesn't block and never sees the end of the file when the agent goes.
 - The agent makes the FIFO. A container that starts before the agent looks for it ten times a second.
-- An agent of the version before writes nothing that preloads modules, and the container waits without.
+- The agent writes what preloads modules before it makes the FIFO. An earlier agent does not, and the container waits without.
 - What preloads modules waits in place of the script, and opens the FIFO once it has them, so nobody takes the container for ready earlier.
 - Once the environment is there, a restart of the container goes straight on to the command.
 """
