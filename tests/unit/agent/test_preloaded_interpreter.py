@@ -282,7 +282,7 @@ def test_a_further_process_that_is_killed_or_fails_is_seen_by_who_started_it(hel
 @pytest.mark.parametrize(
     ("before", "options"),
     [
-        ("import threading, time; threading.Thread(target=time.sleep, args=(3,), daemon=True).start()", ""),
+        ("import threading, time; threading.Thread(target=time.sleep, args=(60,), daemon=True).start()", ""),
         ("", ", env={**__import__('os').environ, 'PYTHONHASHSEED': '3'}"),
         ("", ", cwd='.'"),
     ],
